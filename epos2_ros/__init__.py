@@ -1,0 +1,1 @@
+"""ROS 2 driver for synchronised motion with CANopen servo drives."""

@@ -1,0 +1,70 @@
+"""What the driver is told before it starts: one value object per axis, one for the group.
+
+The names are those of the ROS parameters (`axes.<joint>.node_id` is
+`AxisConfig.node_id`); `None` means "not set".
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True)
+class HomingConfig:
+    """`axes.<joint>.homing.*`: objects 0x6098, 0x6099, 0x609A, 0x607C."""
+
+    method: int
+    speeds: tuple[float, float] | None = None  # [switch, zero] [unit/s]
+    acceleration: float | None = None  # [unit/s²]
+    offset: float = 0.0  # [unit]
+    order: int = 0
+
+
+@dataclass(frozen=True)
+class AxisConfig:
+    """One joint and the drive that moves it. Joint units are rad (revolute) or m (prismatic)."""
+
+    joint: str
+    node_id: int
+    drive: str = "epos2"
+    type: str = "revolute"
+    counts_per_turn: int = 2000  # quadrature counts per motor turn [qc]
+    gear_ratio: float = 1.0  # motor turns per output turn
+    lead: float | None = None  # prismatic: metres per output turn
+    direction: int = 1
+    offset: float = 0.0  # joint position where the drive reads 0
+    velocity_notation: int = 0  # drive velocity unit is 10^n rpm (0x608B)
+    min_position: float | None = None
+    max_position: float | None = None
+    max_velocity: float | None = None
+    max_acceleration: float | None = None
+    stop_deceleration: float | None = None
+    max_following_error: int = 2000  # [qc], 0x6065
+    homing: HomingConfig | None = None
+
+
+@dataclass(frozen=True)
+class SimulationConfig:
+    """What the simulated drives inside the driver are like (`simulate: true`)."""
+
+    drift_ppm: float = 0.0  # each drive's clock runs at 1 + U(-d, d)·1e-6
+    seed: int = 0
+    log: str | None = None  # .npz file written at shutdown: executed demand per axis and ms
+
+
+@dataclass(frozen=True)
+class DriverConfig:
+    """The whole group on one bus."""
+
+    axes: tuple[AxisConfig, ...]
+    interface: str = "virtual"
+    channel: str = "epos2"
+    bitrate: int = 1_000_000
+    simulate: bool = True
+    sync_period: float = 0.1  # [s]
+    sync_source: str = "host"
+    buffer_time: float = 0.5  # [s]
+    tolerance: float = 1.0  # [qc]
+    start_tolerance: float = 0.01  # [rad or m]
+    allow_partial_joints_goal: bool = False
+    simulation: SimulationConfig = field(default_factory=SimulationConfig)
