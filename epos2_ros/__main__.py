@@ -1,0 +1,54 @@
+"""The command `epos2_ros PROGRAM [ARGUMENT …]`: one name for the package's programs."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+
+PROGRAMS = {
+    "driver": ("epos2_ros.node.driver", "the driver node (ROS arguments: --ros-args …)"),
+    "simulator": ("epos2_ros.sim.main", "simulated drives on any python-can bus"),
+    "plan": ("epos2_ros.plan", "a trajectory file as PVT records, errors and bus load; no bus"),
+    "demo": ("epos2_ros.demo", "driver and simulated drives run a trajectory, with a report"),
+}
+USAGE = f"usage: epos2_ros {{{','.join(PROGRAMS)}}} [ARGUMENT …]"
+HELP = "\n".join(
+    [
+        USAGE,
+        "",
+        *(f"  {name:10} {what}" for name, (_, what) in PROGRAMS.items()),
+        "",
+        "`epos2_ros PROGRAM --help` tells more.",
+    ]
+)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Start the program named first; everything after the name is its own. Returns its status.
+
+    A name that is none of the programs gives one line and 2, a missing ROS one line and 1.
+    """
+    name, *arguments = (sys.argv[1:] if argv is None else argv) or [""]
+    if name in ("-h", "--help"):
+        print(HELP)
+        return 0
+    if name not in PROGRAMS:
+        problem = f"epos2_ros: no program {name!r}: one of {', '.join(PROGRAMS)}"
+        print(problem if name else USAGE, file=sys.stderr)
+        return 2
+    try:
+        program = importlib.import_module(PROGRAMS[name][0])
+    except ModuleNotFoundError as error:
+        if error.name != "rclpy":
+            raise
+        print(
+            f"epos2_ros {name}: needs ROS 2: source its setup.bash, or pip install '.[ros]'",
+            file=sys.stderr,
+        )
+        return 1
+    status: int = program.main(arguments)
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main())

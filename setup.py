@@ -1,0 +1,51 @@
+"""The ament_python package: metadata, and what goes where under the install prefix."""
+
+from glob import glob
+
+from setuptools import find_packages, setup
+
+NAME = "epos2_ros"
+SHARE = f"share/{NAME}"
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    description="ROS 2 driver for synchronised motion of several axes with maxon EPOS2 drives",
+    license="Apache-2.0",
+    maintainer="epos2_ros maintainers",
+    maintainer_email="maintainers@epos2-ros.example",
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    package_data={NAME: ["eds/*.eds", "py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (SHARE, ["package.xml"]),
+        (f"{SHARE}/config", glob("config/*.yaml")),
+        (f"{SHARE}/examples", glob("examples/*.yaml")),
+        (f"{SHARE}/launch", glob("launch/*.launch.py")),
+        (f"lib/{NAME}", glob("scripts/*")),  # where `ros2 run` looks
+    ],
+    entry_points={"console_scripts": [f"{NAME} = {NAME}.__main__:main"]},
+    python_requires=">=3.10",
+    install_requires=[
+        "canopen~=2.4",
+        "matplotlib",
+        "numpy",
+        "python-can[multicast,serial]~=4.5",
+        "pyyaml",
+    ],
+    extras_require={
+        # ROS 2 Jazzy from PyPI, for a machine without a ROS installation
+        "ros": ["ros-jazzy-common-interfaces", "ros-jazzy-rclpy", "ros-jazzy-rmw-fastrtps-cpp"],
+        "test": [
+            "colcon-common-extensions",
+            "hypothesis",
+            "mypy",
+            "pytest",
+            "pytest-timeout",
+            "ruckig",
+            "ruff",
+            "types-PyYAML",
+        ],
+    },
+    zip_safe=False,
+)
