@@ -1,0 +1,264 @@
+"""Parameters: their declaration, what they make, and the line a wrong one gets."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from math import inf, nan
+from pathlib import Path
+from typing import Any
+
+import pytest
+import rclpy
+from rcl_interfaces.msg import ParameterType
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from epos2_ros.config import AxisConfig, DriverConfig, HomingConfig
+from epos2_ros.errors import ConfigurationError
+from epos2_ros.node.parameters import Parameters
+
+CONFIG_FILES = sorted((Path(__file__).parents[1] / "config").glob("*.yaml"))
+
+
+class Made:
+    def __init__(self, node: Node) -> None:
+        self.node = node
+        self.unconfigured = True
+        self.parameters = Parameters(node, lambda: self.unconfigured)
+
+    def set(self, name: str, value: Any) -> str:
+        """What `ros2 param set` answers: "" or the reason."""
+        return self.node.set_parameters([Parameter(name, value=value)])[0].reason
+
+
+@pytest.fixture
+def make() -> Iterator[Callable[..., Made]]:
+    context = Context()
+    rclpy.init(args=[], context=context)
+    nodes: list[Node] = []
+
+    def build(overrides: dict[str, Any] | None = None, file: Path | None = None) -> Made:
+        given = [
+            Parameter(n, Parameter.Type.NOT_SET) if v is None else Parameter(n, value=v)
+            for n, v in (overrides or {}).items()
+        ]
+        cli = ["--ros-args", "--params-file", str(file)] if file else []
+        node = Node("epos2_driver", context=context, parameter_overrides=given, cli_args=cli)
+        nodes.append(node)
+        return Made(node)
+
+    yield build
+    for node in nodes:
+        node.destroy_node()
+    context.shutdown()
+
+
+def refusal(made: Made) -> str:
+    with pytest.raises(ConfigurationError) as caught:
+        made.parameters.config()
+    line = str(caught.value)
+    assert "\n" not in line
+    return line
+
+
+def test_without_parameters_six_simulated_axes(make):
+    assert make().parameters.config() == DriverConfig(
+        axes=tuple(AxisConfig(joint=f"joint_{n}", node_id=n) for n in range(1, 7))
+    )
+
+
+def test_every_value_arrives(make):
+    config = make(
+        {
+            "can.interface": "socketcan",
+            "can.channel": "can0",
+            "can.bitrate": 500_000,
+            "joints": ["x", "arm"],
+            "sync.period": 0.05,
+            "sync.source": "arm",
+            "ipm.buffer_time": 0.25,
+            "ipm.tolerance": 2.0,
+            "constraints.start_tolerance": 0.002,
+            "allow_partial_joints_goal": True,
+            "axes.x.node_id": 11,
+            "axes.x.type": "prismatic",
+            "axes.x.counts_per_turn": 4096,
+            "axes.x.gear_ratio": 4.8,
+            "axes.x.lead": 0.01,
+            "axes.x.direction": -1,
+            "axes.x.offset": 0.5,
+            "axes.x.velocity_notation": -3,
+            "axes.x.min_position": -0.1,
+            "axes.x.max_position": 0.9,
+            "axes.x.max_velocity": 0.2,
+            "axes.x.max_acceleration": 1.5,
+            "axes.x.stop_deceleration": 3.0,
+            "axes.x.max_following_error": 500,
+            "axes.x.homing.method": 17,
+            "axes.x.homing.speeds": [0.02, 0.005],
+            "axes.x.homing.acceleration": 0.3,
+            "axes.x.homing.offset": 0.01,
+            "axes.x.homing.order": 2,
+        }
+    ).parameters.config()
+    x = AxisConfig(
+        joint="x",
+        node_id=11,
+        type="prismatic",
+        counts_per_turn=4096,
+        gear_ratio=4.8,
+        lead=0.01,
+        direction=-1,
+        offset=0.5,
+        velocity_notation=-3,
+        min_position=-0.1,
+        max_position=0.9,
+        max_velocity=0.2,
+        max_acceleration=1.5,
+        stop_deceleration=3.0,
+        max_following_error=500,
+        homing=HomingConfig(17, (0.02, 0.005), 0.3, 0.01, 2),
+    )
+    assert config == DriverConfig(
+        axes=(x, AxisConfig(joint="arm", node_id=2)),
+        interface="socketcan",
+        channel="can0",
+        bitrate=500_000,
+        simulate=False,  # a real interface: nothing is simulated unless asked for
+        sync_period=0.05,
+        sync_source="arm",
+        buffer_time=0.25,
+        tolerance=2.0,
+        start_tolerance=0.002,
+        allow_partial_joints_goal=True,
+    )
+
+
+def test_simulation_can_be_asked_for_on_a_real_interface(make):
+    assert make({"can.interface": "socketcan", "simulate": True}).parameters.config().simulate
+
+
+def test_whole_numbers_do_where_numbers_are_asked_for(make):
+    config = make(
+        {
+            "axes.joint_1.gear_ratio": 100,
+            "axes.joint_1.homing.speeds": [1, 2],
+            "axes.joint_1.homing.method": 1,
+        }
+    ).parameters.config()
+    assert config.axes[0].gear_ratio == 100.0
+    assert config.axes[0].homing == HomingConfig(1, (1.0, 2.0))
+
+
+@pytest.mark.parametrize(
+    ("overrides", "says"),
+    [
+        ({"axes.joint_1.node_id": 128}, ["axes.joint_1.node_id", "128", "1 to 127"]),
+        ({"axes.joint_1.node_id": 0}, ["axes.joint_1.node_id", "0", "1 to 127"]),
+        ({"axes.joint_2.node_id": 5}, ["node_id", "5", "joint_2, joint_5"]),
+        ({"axes.joint_1.node_id": "one"}, ["axes.joint_1.node_id", "'one'", "1 to 127"]),
+        ({"axes.joint_3.gear_ratio": -1.0}, ["axes.joint_3.gear_ratio", "-1.0", "1e-06"]),
+        ({"axes.joint_3.gear_ratio": nan}, ["axes.joint_3.gear_ratio", "nan"]),
+        ({"axes.joint_3.gear_ratio": inf}, ["axes.joint_3.gear_ratio", "inf"]),
+        ({"axes.joint_3.gear_ratio": True}, ["axes.joint_3.gear_ratio", "true"]),
+        ({"axes.joint_1.direction": 2}, ["axes.joint_1.direction", "2", "1 or -1"]),
+        ({"axes.joint_1.velocity_notation": 1}, ["velocity_notation", "0, -1, -2 or -3"]),
+        ({"axes.joint_1.type": "linear"}, ["axes.joint_1.type", "'linear'", "prismatic"]),
+        ({"axes.joint_1.type": "prismatic"}, ["axes.joint_1.lead", "0", "prismatic"]),
+        ({"axes.joint_1.drive": "epos4"}, ["axes.joint_1.drive", "'epos4'", "epos2"]),
+        (
+            {"axes.joint_1.min_position": 2.0, "axes.joint_1.max_position": 1.0},
+            ["axes.joint_1.min_position", "2", "max_position, 1"],
+        ),
+        ({"axes.joint_1.max_velocity": 0.0}, ["axes.joint_1.max_velocity", "0.0"]),
+        ({"axes.joint_1.homing.speeds": [0.1]}, ["homing.speeds", "[0.1]", "2 numbers"]),
+        ({"joints": None}, ["joints", "[]", "1 to 127 names"]),
+        ({"joints": [""]}, ["joints", "['']", "1 to 127 names"]),
+        ({"joints": ["a", "b", "a"]}, ["joints", "['a', 'b', 'a']", "once"]),
+        ({"joints": "a"}, ["joints", "'a'", "list"]),
+        ({"can.bitrate": 1}, ["can.bitrate", "1000000"]),
+        ({"can.channel": 0}, ["can.channel", "0", "text"]),
+        ({"sync.source": "joint_9"}, ["sync.source", "'joint_9'", "host, joint_1"]),
+        ({"sync.period": 0.0}, ["sync.period", "0.0", "0.005"]),
+        ({"ipm.tolerance": 0.1}, ["ipm.tolerance", "0.1", "0.5"]),
+        ({"state_rate": 0}, ["state_rate", "0", "0.1"]),
+        # what is not there at all
+        ({"ipm.tolerence": 1.0}, ["ipm.tolerence", "1.0", "ipm.tolerance?"]),
+        ({"axes.joint_1.gear_ration": 100.0}, ["gear_ration", "100.0", "joint_1.gear_ratio?"]),
+        ({"axes.joint_7.node_id": 7}, ["axes.joint_7.node_id", "7", "joint_1, joint_2"]),
+        ({"axis.joint_1.node_id": 7}, ["axis.joint_1.node_id", "axes.joint_1.node_id?"]),
+    ],
+)
+def test_a_wrong_parameter_is_one_line_with_name_value_and_what_is_allowed(make, overrides, says):
+    line = refusal(make(overrides))
+    for words in says:
+        assert words in line
+
+
+def test_more_axes_than_node_ids_is_refused(make):
+    assert "1 to 127 names" in refusal(make({"joints": [f"j{n}" for n in range(128)]}))
+
+
+def test_a_wrong_value_can_be_put_right_without_a_restart(make):
+    made = make({"axes.joint_1.gear_ratio": -1.0})
+    refusal(made)
+    assert made.set("axes.joint_1.gear_ratio", 50.0) == ""
+    assert made.parameters.config().axes[0].gear_ratio == 50.0
+
+
+def test_setting_is_checked_like_the_file(make):
+    made = make()
+    assert "1 or -1" in made.set("axes.joint_1.direction", 3)
+    assert "127" in made.set("axes.joint_1.node_id", 128)
+    assert "nan" in made.set("axes.joint_1.max_velocity", nan)
+    assert made.parameters.config() == make().parameters.config()
+
+
+def test_nothing_changes_while_configured(make):
+    made = make()
+    made.unconfigured = False
+    assert "unconfigured" in made.set("ipm.tolerance", 2.0)
+    assert made.parameters.config().tolerance == 1.0
+
+
+def test_joints_are_fixed_at_start(make):
+    assert "read-only" in make().set("joints", ["a"])
+
+
+def test_rclpys_own_parameters_are_not_ours_to_refuse(make):
+    made = make({"use_sim_time": False})
+    made.parameters.config()
+    made.unconfigured = False
+    assert made.set("use_sim_time", True) == ""
+
+
+def test_every_parameter_is_declared_with_type_description_and_what_is_allowed(make):
+    node = make().node
+    names = node.list_parameters([], 0).names
+    descriptors = {
+        d.name: d
+        for d in node.describe_parameters(sorted(names))
+        if d.name not in ("use_sim_time", "start_type_description_service")
+    }
+    for name, descriptor in descriptors.items():
+        assert descriptor.type != ParameterType.PARAMETER_NOT_SET, name
+        assert descriptor.description, name
+        assert descriptor.additional_constraints, name
+        if descriptor.type == ParameterType.PARAMETER_DOUBLE:
+            assert descriptor.floating_point_range, name
+    assert descriptors["axes.joint_1.node_id"].integer_range[0].to_value == 127
+    # `ros2 param dump` reads all values at once, and gets none if one of them is not set
+    assert all(p.type_ != Parameter.Type.NOT_SET for p in node.get_parameters(list(descriptors)))
+
+
+@pytest.mark.parametrize("file", CONFIG_FILES, ids=lambda file: file.stem)
+def test_the_shipped_parameter_files_are_valid(make, file):
+    made = make(file=file)
+    config = made.parameters.config()
+    assert made.node.get_parameters_by_prefix("axes")
+    assert config.simulate == (config.interface == "virtual")
+
+
+def test_there_are_parameter_files_for_simulation_and_real_hardware():
+    assert {"simulation.yaml", "can0.yaml"} <= {file.name for file in CONFIG_FILES}
