@@ -1,0 +1,188 @@
+"""The CAN interface: python-can at the edge, frames with host times inside.
+
+One thread (python-can's notifier) brings frames in; any thread sends, under one lock. canopen's classes use the same way out, so that an SDO request never gets ahead of a SYNC.
+"""
+
+from __future__ import annotations
+
+import errno
+import logging
+import threading
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+import can
+import canopen
+
+from epos2_ros.bus.timestamps import ReceiveClock, now_us
+from epos2_ros.bus.transmitter import Transmitter, worst_case_bits
+from epos2_ros.errors import BusError
+from epos2_ros.protocol.frame import Frame
+
+PROBE_TIMEOUT_S = 0.2
+LOAD_WINDOW_US = 1_000_000.0
+ENTER_PRE_OPERATIONAL = Frame(0x000, b"\x80\x00")  # NMT, all nodes
+_QUEUE_FULL = {errno.ENOBUFS, errno.EAGAIN}
+
+OnFrame = Callable[[Frame, float, bool], None]
+
+
+class Network(canopen.Network):
+    """canopen's network, sending by a function of ours instead of a bus of its own."""
+
+    def __init__(self, send: Callable[[Frame], None]) -> None:
+        super().__init__()
+        self._send_frame = send
+
+    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
+        self._send_frame(Frame(can_id, bytes(data)))
+
+
+class Link(can.Listener):
+    """An open CAN interface.
+
+    `on_frame(frame, t_us, echo)` is called in the notifier's thread for every frame on the bus,
+    our own included (`echo`); adapters that do not echo get an estimate from `pump`.
+    `on_failure(text)` is called when the interface stops working. Both are called, and frames
+    are sent, with `lock` held.
+    """
+
+    def __init__(
+        self,
+        interface: str,
+        channel: str,
+        bitrate: int,
+        on_frame: OnFrame,
+        on_failure: Callable[[str], None],
+        lock: threading.RLock,
+    ) -> None:
+        self.name = f"{interface}:{channel}"
+        self.clock = ReceiveClock()
+        self.network = Network(self.send)
+        self.error_frames = 0
+        self._lock = lock
+        self._on_frame = on_frame
+        self._on_failure = on_failure
+        self._bitrate = bitrate
+        self._echo_seen = threading.Event()
+        self._traffic: deque[tuple[float, int]] = deque()
+        self._bits = 0
+        self._bus = _open(interface, channel, bitrate)
+        # Until the probe has shown an echo, frames count as sent when their time is over.
+        self._transmitter = Transmitter(self._hand_over, bitrate, echoes=False)
+        self._notifier = can.Notifier(self._bus, [self], timeout=0.1)
+        self._probe()
+
+    def _probe(self) -> None:
+        """Send what bring-up begins with anyway, and see whether the adapter gives it back."""
+        if not self._hand_over(ENTER_PRE_OPERATIONAL):
+            raise BusError(f"{self.name} takes no frames: is the interface up, the bus wired?")
+        self._transmitter.echoes = self._echo_seen.wait(PROBE_TIMEOUT_S)
+
+    # ------------------------------------------------------------------ out
+
+    def send(self, frame: Frame) -> None:
+        """Queue a frame and send what may be sent."""
+        with self._lock:
+            self._transmitter.push(frame)
+            self.pump()
+
+    def pump(self) -> None:
+        """Send what may be sent now; call again at `deadline_us`."""
+        with self._lock:
+            for frame, t_us in self._transmitter.pump(now_us()):
+                self._count(frame, t_us)
+                self._on_frame(frame, t_us, True)
+
+    @property
+    def deadline_us(self) -> float:
+        return self._transmitter.deadline_us
+
+    @property
+    def stalled(self) -> bool:
+        """Whether frames handed to the adapter no longer appear on the bus."""
+        return self._transmitter.stalled
+
+    @property
+    def refused(self) -> int:
+        """How often the adapter's queue was full."""
+        return self._transmitter.refused
+
+    @property
+    def time_source(self) -> str:
+        """Where the time of a SYNC comes from."""
+        return ("echo, " if self._transmitter.echoes else "no echo, ") + self.clock.source
+
+    def _hand_over(self, frame: Frame) -> bool:
+        message = can.Message(
+            arbitration_id=frame.can_id, data=frame.data, is_extended_id=False, check=False
+        )
+        try:
+            self._bus.send(message)
+        except can.CanOperationError as error:
+            if error.error_code in _QUEUE_FULL or "buffer full" in str(error).lower():
+                return False
+            self._on_failure(f"{self.name} can't send: {error}")
+            return False
+        return True
+
+    # ------------------------------------------------------------------ in
+
+    def on_message_received(self, msg: can.Message) -> None:
+        if msg.is_error_frame:
+            self.error_frames += 1
+            return
+        if msg.is_remote_frame or msg.is_extended_id:
+            return
+        frame = Frame(msg.arbitration_id, bytes(msg.data))
+        t_us = self.clock.host_us(msg.timestamp)
+        with self._lock:
+            self._count(frame, t_us)
+            if frame == ENTER_PRE_OPERATIONAL:  # ours: there is one NMT master
+                self._echo_seen.set()
+                return
+            echo = self._transmitter.echoes and self._transmitter.on_echo(frame)
+            self._on_frame(frame, t_us, echo)
+            self.pump()
+        if not echo:
+            self.network.notify(msg.arbitration_id, msg.data, t_us / 1e6)
+
+    def on_error(self, exc: Exception) -> None:
+        self._on_failure(f"{self.name} can't receive: {exc}")
+
+    # ------------------------------------------------------------------ state
+
+    def _count(self, frame: Frame, t_us: float) -> None:
+        bits = worst_case_bits(len(frame.data))
+        self._traffic.append((t_us, bits))
+        self._bits += bits
+        while self._traffic[0][0] < t_us - LOAD_WINDOW_US:
+            self._bits -= self._traffic.popleft()[1]
+
+    @property
+    def load(self) -> float:
+        """Share of the last second in which the bus was taken, stuff bits at worst (0 … 1)."""
+        return self._bits / self._bitrate
+
+    def close(self) -> None:
+        """Stop receiving and close the interface."""
+        self._notifier.stop()
+        self._bus.shutdown()
+
+
+def _open(interface: str, channel: str, bitrate: int) -> can.BusABC:
+    logging.getLogger("can").setLevel(logging.ERROR)
+    arguments: dict[str, Any] = {"interface": interface, "channel": channel, "bitrate": bitrate}
+    try:
+        try:
+            return can.Bus(receive_own_messages=True, **arguments)
+        except can.CanInterfaceNotImplementedError as error:
+            if "own messages" not in str(error):
+                raise
+            return can.Bus(**arguments)
+    except (can.CanError, OSError, ValueError, ImportError, TypeError) as error:
+        raise BusError(
+            f"can't open CAN interface {interface!r}, channel {channel!r}: {error}; check "
+            "can.interface and can.channel, and that the interface is up (ip link show)"
+        ) from error

@@ -1,0 +1,135 @@
+"""One EPOS2 as the group sees it: what it last reported, and the frames that command it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from epos2_ros.motion.fit import FitAxis
+from epos2_ros.motion.record import Record
+from epos2_ros.protocol import cia402, epos2
+from epos2_ros.protocol.buffer_account import BufferAccount
+from epos2_ros.protocol.cia402 import State
+from epos2_ros.protocol.frame import Frame
+
+DRIFT_SMOOTHING = 0.1  # weight of the newest SYNC interval in the drift estimate
+
+
+@dataclass(frozen=True)
+class AxisSetup:
+    """What the group has to know of an axis."""
+
+    joint: str
+    node_id: int
+    fit: FitAxis
+
+
+class Axis:
+    """Reported state of one drive. Fields are raw drive units; times are host µs."""
+
+    def __init__(self, setup: AxisSetup) -> None:
+        self.joint = setup.joint
+        self.node_id = setup.node_id
+        self.fit = setup.fit
+        self.statusword = 0
+        self.statusword_us = -math.inf
+        self.buffer_status = 0
+        self.free = epos2.BUFFER_SIZE
+        self.position_qc: int | None = None
+        self.velocity = 0
+        self.sample_us = -math.inf
+        self.current_ma: int | None = None
+        self.demand_qc: int | None = None
+        self.demand_us = -math.inf
+        self.following_error_qc = 0
+        self.emergency = 0
+        self.heard_us = -math.inf
+        self.restarted = False
+        self.clock_offset_us: float | None = None
+        self.clock_drift_ppm: float | None = None
+        self.account = BufferAccount()
+
+    def __str__(self) -> str:
+        return f"{self.joint} (node {self.node_id})"
+
+    # What the drive says ---------------------------------------------------------------
+
+    @property
+    def state(self) -> State:
+        return cia402.state_of(self.statusword)
+
+    @property
+    def ip_active(self) -> bool:
+        return bool(self.statusword & epos2.IP_MODE_ACTIVE_STATUSWORD)
+
+    @property
+    def used(self) -> int:
+        """Records in the drive's FIFO as it last reported."""
+        return epos2.BUFFER_SIZE - self.free
+
+    def report(self, statusword: int, t_us: float) -> None:
+        """A statusword, from a PDO or read at bring-up."""
+        self.statusword = statusword
+        self.statusword_us = t_us
+
+    def on_tpdo1(self, data: bytes, t_us: float) -> None:
+        statusword, self.buffer_status, self.free = epos2.TPDO1_LAYOUT.unpack(data)
+        self.report(statusword, t_us)
+
+    def on_tpdo2(self, data: bytes, t_us: float) -> None:
+        self.position_qc, self.velocity = epos2.TPDO2_LAYOUT.unpack(data)
+        self.sample_us = t_us
+
+    def on_tpdo3(self, data: bytes, t_us: float, sync_stamp: int, since_last_us: float) -> None:
+        """Time stamp of the SYNC by the drive's clock against the host's `sync_stamp`.
+
+        The drive was set right `since_last_us` ago, so what it is off now is its drift.
+        """
+        stamp, statusword, self.current_ma = epos2.TPDO3_LAYOUT.unpack(data)
+        self.report(statusword, t_us)
+        offset = (stamp - sync_stamp + 0x8000_0000) % 0x1_0000_0000 - 0x8000_0000
+        first = self.clock_offset_us is None
+        self.clock_offset_us = float(offset)
+        if first or not since_last_us:
+            return  # before the first correction the offset says nothing about the drift
+        drift = offset / since_last_us * 1e6
+        if self.clock_drift_ppm is None:
+            self.clock_drift_ppm = drift
+        else:
+            self.clock_drift_ppm += DRIFT_SMOOTHING * (drift - self.clock_drift_ppm)
+
+    def on_tpdo4(self, data: bytes, t_us: float) -> None:
+        self.demand_qc, self.buffer_status, self.following_error_qc = epos2.TPDO4_LAYOUT.unpack(
+            data
+        )
+        self.demand_us = t_us
+
+    def on_emergency(self, data: bytes) -> int:
+        """Error code of the emergency; 0 says that all errors are gone."""
+        self.emergency = epos2.EMCY_LAYOUT.unpack(data)[0]
+        return self.emergency
+
+    def trouble(self) -> str:
+        """What the drive complains of, in words; "" if nothing."""
+        words = []
+        if self.emergency:
+            words.append(epos2.describe_emergency(self.emergency))
+        if errors := epos2.describe_buffer_errors(self.buffer_status):
+            words.append(errors)
+        if not words and self.statusword & cia402.FAULT_BIT:
+            words.append(self.state.value)
+        return ": ".join(words)
+
+    # What the drive is told ------------------------------------------------------------
+
+    def controlword(self, value: int) -> Frame:
+        """RPDO4: takes effect at once."""
+        return Frame(epos2.RPDO4 + self.node_id, value.to_bytes(2, "little"))
+
+    def synchronous_controlword(self, value: int) -> Frame:
+        """RPDO2: takes effect at the next SYNC."""
+        return Frame(epos2.RPDO2 + self.node_id, value.to_bytes(2, "little"))
+
+    def record(self, record: Record) -> Frame:
+        """RPDO1: one more reference point for the FIFO."""
+        return Frame(epos2.RPDO1 + self.node_id, record.pack())

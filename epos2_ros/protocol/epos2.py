@@ -1,0 +1,216 @@
+"""The EPOS2 as the host sees it: its objects, its PDOs, its emergencies.
+
+Object names, types and bits: maxon, application note "Interpolation Position Mode", 3.3 – 3.6;
+velocity and acceleration errors are bits 10 and 11 of 0x20C4-01 (table 13 repeats 2 and 3, the
+warnings), and quick stop deceleration is 0x6085 (table 17 prints 0x6084, profile deceleration).
+
+PDOs (note, 3.7 and "Motion Synchronisation"). Identifiers are the predefined connection set,
+but for the time stamp, which all drives share: 0x200 is RPDO1 of node 0 and so never used.
+
+| PDO   | COB-ID  | transmission       | objects                                            |
+|-------|---------|--------------------|----------------------------------------------------|
+| RPDO1 | 200+id  | asynchronous (255) | interpolation data record                          |
+| RPDO2 | 300+id  | synchronous (1)    | controlword: takes effect at the next SYNC         |
+| RPDO3 | 200     | asynchronous (255) | high resolution time stamp, the same for all       |
+| RPDO4 | 500+id  | asynchronous (255) | controlword: takes effect at once                  |
+| TPDO1 | 180+id  | event, inhibited   | statusword, buffer status, actual (free) buffer    |
+| TPDO2 | 280+id  | event, inhibited   | position actual, velocity actual                   |
+| TPDO3 | 380+id  | synchronous (1)    | time stamp of the SYNC, statusword, current        |
+| TPDO4 | 480+id  | synchronous (1)    | position demand, buffer status, following error    |
+
+The two synchronous TPDOs repeat statusword and buffer status at every SYNC, so that a lost
+event is made good within one SYNC period.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+VENDOR_ID = 0x000000FB
+DEVICE_PROFILE = 402
+BUFFER_SIZE = 64
+MODE_INTERPOLATED_POSITION = 7
+
+# Controlword and statusword bits of the interpolated position mode (tables 7 and 10).
+ENABLE_IP_MODE = 0x0010
+IP_MODE_ACTIVE_STATUSWORD = 0x1000
+
+# Object dictionary.
+DEVICE_TYPE = 0x1000
+ERROR_REGISTER = 0x1001
+CONSUMER_HEARTBEAT_TIME = 0x1016
+PRODUCER_HEARTBEAT_TIME = 0x1017
+IDENTITY = 0x1018
+HIGH_RESOLUTION_TIME_STAMP = 0x1013
+INTERPOLATION_DATA_RECORD = 0x20C1
+INTERPOLATION_STATUS = 0x20C4
+FOLLOWING_ERROR_ACTUAL = 0x20F4
+CONTROLWORD = 0x6040
+STATUSWORD = 0x6041
+MODES_OF_OPERATION = 0x6060
+MODES_OF_OPERATION_DISPLAY = 0x6061
+POSITION_DEMAND = 0x6062
+POSITION_ACTUAL = 0x6064
+MAX_FOLLOWING_ERROR = 0x6065
+VELOCITY_ACTUAL = 0x606C
+CURRENT_ACTUAL = 0x6078
+SOFTWARE_POSITION_LIMIT = 0x607D
+MAX_PROFILE_VELOCITY = 0x607F
+PROFILE_VELOCITY = 0x6081
+PROFILE_ACCELERATION = 0x6083
+PROFILE_DECELERATION = 0x6084
+QUICK_STOP_DECELERATION = 0x6085
+VELOCITY_NOTATION_INDEX = 0x608B
+INTERPOLATION_SUB_MODE = 0x60C0
+INTERPOLATION_TIME_PERIOD = 0x60C2
+INTERPOLATION_DATA_CONFIGURATION = 0x60C4
+BUFFER_CLEAR_SUBINDEX = 6
+MAX_ACCELERATION = 0x60C5
+
+# COB-IDs.
+NMT = 0x000
+SYNC = 0x080
+EMCY = 0x080  # + node id
+TIME = 0x100
+TIME_STAMP = 0x200  # RPDO3 of every drive
+TPDO1, TPDO2, TPDO3, TPDO4 = 0x180, 0x280, 0x380, 0x480
+RPDO1, RPDO2, RPDO4 = 0x200, 0x300, 0x500
+HEARTBEAT = 0x700
+
+SYNCHRONOUS = 1
+ASYNCHRONOUS = 255
+
+
+@dataclass(frozen=True)
+class PdoMapping:
+    """One PDO of a drive: number (1–4), COB-ID base (node id is added unless shared), objects."""
+
+    number: int
+    cob_id: int
+    transmission_type: int
+    objects: tuple[tuple[int, int], ...]
+    shared: bool = False
+
+
+RPDO_MAPPINGS = (
+    PdoMapping(1, RPDO1, ASYNCHRONOUS, ((INTERPOLATION_DATA_RECORD, 0),)),
+    PdoMapping(2, RPDO2, SYNCHRONOUS, ((CONTROLWORD, 0),)),
+    PdoMapping(3, TIME_STAMP, ASYNCHRONOUS, ((HIGH_RESOLUTION_TIME_STAMP, 0),), shared=True),
+    PdoMapping(4, RPDO4, ASYNCHRONOUS, ((CONTROLWORD, 0),)),
+)
+TPDO_MAPPINGS = (
+    PdoMapping(
+        1,
+        TPDO1,
+        ASYNCHRONOUS,
+        ((STATUSWORD, 0), (INTERPOLATION_STATUS, 1), (INTERPOLATION_DATA_CONFIGURATION, 2)),
+    ),
+    PdoMapping(2, TPDO2, ASYNCHRONOUS, ((POSITION_ACTUAL, 0), (VELOCITY_ACTUAL, 0))),
+    PdoMapping(
+        3,
+        TPDO3,
+        SYNCHRONOUS,
+        ((HIGH_RESOLUTION_TIME_STAMP, 0), (STATUSWORD, 0), (CURRENT_ACTUAL, 0)),
+    ),
+    PdoMapping(
+        4,
+        TPDO4,
+        SYNCHRONOUS,
+        ((POSITION_DEMAND, 0), (INTERPOLATION_STATUS, 1), (FOLLOWING_ERROR_ACTUAL, 0)),
+    ),
+)
+
+TPDO1_LAYOUT = struct.Struct("<HHI")
+TPDO2_LAYOUT = struct.Struct("<ii")
+TPDO3_LAYOUT = struct.Struct("<IHh")
+TPDO4_LAYOUT = struct.Struct("<iHh")
+EMCY_LAYOUT = struct.Struct("<HB5s")
+
+
+class BufferStatus:
+    """Bits of the interpolation buffer status word 0x20C4-01 (tables 12 and 13)."""
+
+    UNDERFLOW_WARNING = 1 << 0
+    OVERFLOW_WARNING = 1 << 1
+    VELOCITY_WARNING = 1 << 2
+    ACCELERATION_WARNING = 1 << 3
+    UNDERFLOW_ERROR = 1 << 8
+    OVERFLOW_ERROR = 1 << 9
+    VELOCITY_ERROR = 1 << 10
+    ACCELERATION_ERROR = 1 << 11
+    BUFFER_ENABLED = 1 << 14
+    IP_MODE_ACTIVE = 1 << 15
+    ERRORS = UNDERFLOW_ERROR | OVERFLOW_ERROR | VELOCITY_ERROR | ACCELERATION_ERROR
+    FLAGS = {
+        "underflow_warning": UNDERFLOW_WARNING,
+        "overflow_warning": OVERFLOW_WARNING,
+        "velocity_warning": VELOCITY_WARNING,
+        "acceleration_warning": ACCELERATION_WARNING,
+        "underflow_error": UNDERFLOW_ERROR,
+        "overflow_error": OVERFLOW_ERROR,
+        "velocity_error": VELOCITY_ERROR,
+        "acceleration_error": ACCELERATION_ERROR,
+        "buffer_enabled": BUFFER_ENABLED,
+        "ip_mode_active": IP_MODE_ACTIVE,
+    }
+
+
+EMERGENCIES = {
+    0x1000: "generic error",
+    0x2310: "over-current",
+    0x3210: "over-voltage",
+    0x3220: "under-voltage",
+    0x4210: "over-temperature",
+    0x5113: "logic supply voltage too low",
+    0x5114: "supply voltage of the output stage too low",
+    0x6100: "internal software error",
+    0x6320: "software parameter error",
+    0x7320: "position sensor error",
+    0x8110: "CAN overrun: objects lost",
+    0x8111: "CAN overrun",
+    0x8120: "CAN in error passive mode",
+    0x8130: "life guard or heartbeat error: the host was not heard",
+    0x8150: "COB-ID collision on transmission",
+    0x81FD: "CAN bus off",
+    0x81FE: "CAN receive queue overrun",
+    0x81FF: "CAN transmit queue overrun",
+    0x8210: "PDO not processed: wrong length",
+    0x8611: "following error",
+    0xFF01: "hall sensor error",
+    0xFF02: "index processing error",
+    0xFF03: "encoder resolution error",
+    0xFF04: "hall sensor not found",
+    0xFF06: "negative limit switch",
+    0xFF07: "positive limit switch",
+    0xFF08: "hall angle detection error",
+    0xFF09: "software position limit",
+    0xFF0A: "position sensor breach",
+    0xFF0B: "system overloaded",
+    0xFF0C: "interpolated position mode error",
+    0xFF0D: "auto tuning identification error",
+    0xFF0F: "gear scaling factor error",
+    0xFF10: "controller gain error",
+    0xFF11: "main sensor direction error",
+    0xFF12: "auxiliary sensor direction error",
+}
+IPM_EMERGENCY = 0xFF0C  # the cause is in 0x20C4-01
+
+
+def describe_emergency(code: int) -> str:
+    """An emergency error code in words, with the number for the manual."""
+    return f"{EMERGENCIES.get(code, 'unknown emergency')} (0x{code:04X})"
+
+
+def describe_buffer_errors(status_word: int) -> str:
+    """The error flags of 0x20C4-01 in words, "" when there are none."""
+    return ", ".join(
+        name.replace("_", " ")
+        for name, bit in BufferStatus.FLAGS.items()
+        if bit & BufferStatus.ERRORS & status_word
+    )
+
+
+def is_drive_profile(device_type: int) -> bool:
+    """Whether 0x1000 names a drive of CiA 402 (low word: profile number)."""
+    return device_type & 0xFFFF == DEVICE_PROFILE

@@ -1,0 +1,769 @@
+"""All axes of one bus as a single machine: enable, start together, feed, stop together.
+
+No I/O: frames and times go in (`receive`, `advance`), frames, buffer-clear requests and events
+come out (`outbox`, `clearing`, `events`), and `deadline_us` says when `advance` is wanted next.
+Times are host microseconds.
+
+The rules this file keeps:
+
+* Motion starts as the application note says ("Motion Synchronisation"): records in every
+  buffer, reported by every drive; "enable ip mode" in every synchronous RPDO, seen on the bus;
+  then one SYNC, whose time on the bus is the zero of every axis' path. No other SYNC is sent
+  between the first of those controlwords and that one.
+* Three records per drive before the start, and two besides the one in execution from then on:
+  3.6.3 asks for two in the FIFO and leaves open whether the executing segment counts.
+* Nothing is sent that time or the drive's own report does not leave room for, and a report that
+  does not agree with the books is a fault.
+* One axis in trouble stops all. Nothing starts again by itself.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from dataclasses import dataclass
+from enum import Enum
+from typing import NamedTuple
+
+from epos2_ros.errors import DriveError, MotionAborted, TrajectoryError
+from epos2_ros.motion.fit import Fitter, Reference
+from epos2_ros.motion.record import MAX_SEGMENT_MS
+from epos2_ros.protocol import cia402, epos2
+from epos2_ros.protocol.axis import Axis, AxisSetup
+from epos2_ros.protocol.buffer_account import BufferAccount
+from epos2_ros.protocol.cia402 import State
+from epos2_ros.protocol.clock import MasterClock
+from epos2_ros.protocol.frame import Frame
+
+MIN_RECORDS_AHEAD = 3  # in the FIFO, so that two remain when the next segment begins
+MAX_RECORDS_AHEAD = epos2.BUFFER_SIZE - 4
+ARM_LEAD_US = 20_000.0  # from "enable ip mode" in the RPDOs to the SYNC that makes it count
+REPLY_TIMEOUT_US = 1_000_000.0  # for one step of a drive that has been told something
+RESEND_US = 200_000.0  # a controlword without effect so long is sent again
+STOP_TIMEOUT_US = 5_000_000.0  # for an axis to come to rest after a halt or quick stop
+ACTIVE_TIMEOUT_US = 200_000.0  # after the start SYNC, for "ip mode active"
+END_TIMEOUT_MS = 500.0  # after the end record, for "ip mode inactive"
+SILENCE_TIMEOUT_US = 1_500_000.0  # a drive not heard so long is lost
+HEARTBEAT_PERIOD_US = 100_000.0  # of the host; the drives watch it (0x1016)
+HOST_NODE_ID = 127
+
+
+class Phase(Enum):
+    """What the group is doing."""
+
+    DISABLED = "disabled"
+    ENABLING = "enabling"
+    CLEARING = "clearing buffers"
+    SETTLING = "reading the position demand"
+    STANDING = "standing"
+    PRIMING = "filling buffers"
+    ARMING = "arming the start"
+    STARTING = "starting"
+    MOVING = "moving"
+    HALTING = "halting"
+    QUICK_STOPPING = "quick stop"
+    DISABLING = "disabling"
+    RESETTING = "resetting faults"
+    FAULT = "fault"
+
+
+IN_MOTION = frozenset({Phase.PRIMING, Phase.ARMING, Phase.STARTING, Phase.MOVING})
+_WALK_TARGET = {
+    Phase.ENABLING: State.OPERATION_ENABLED,
+    Phase.DISABLING: State.READY_TO_SWITCH_ON,
+    Phase.RESETTING: State.SWITCH_ON_DISABLED,
+}
+
+
+class Event(NamedTuple):
+    """Something a user wants to read in the log."""
+
+    kind: str  # "started", "done", "aborted" or "fault"
+    text: str
+
+
+@dataclass(frozen=True)
+class GroupSettings:
+    """Parameters of the whole group, as in the ROS contract."""
+
+    sync_period_us: float = 100_000.0
+    buffer_time_ms: float = 500.0
+    tolerance_qc: float = 1.0
+    smoothness: float = 0.0
+
+    @property
+    def max_segment_ms(self) -> int:
+        """So short that three records fit in the buffer time: it then bounds what is committed."""
+        return int(min(MAX_SEGMENT_MS, max(4, self.buffer_time_ms // MIN_RECORDS_AHEAD)))
+
+
+class _Step(NamedTuple):
+    """The last controlword of a walk through the CiA 402 states."""
+
+    state: State
+    sent_us: float
+
+
+class Group:
+    """The protocol of a group of EPOS2 axes on one bus."""
+
+    def __init__(self, setups: Sequence[AxisSetup], settings: GroupSettings) -> None:
+        self.axes = [Axis(setup) for setup in setups]
+        self.settings = settings
+        self.phase = Phase.DISABLED
+        self.outbox: deque[Frame] = deque()
+        self.clearing: deque[int] = deque()  # axes whose buffer is to be cleared (0x60C4-06)
+        self.events: deque[Event] = deque()
+        self.deadline_us = -math.inf
+        self.clock = MasterClock()
+        self.sync_count = 0
+        self.start_us: float | None = None  # host time of the start SYNC: path time zero
+        self.reference: Reference | None = None
+        self.reason = ""  # why the last motion was aborted, or what is wrong now
+        self._fitter = Fitter(
+            [axis.fit for axis in self.axes],
+            settings.tolerance_qc,
+            settings.max_segment_ms,
+            settings.smoothness,
+        )
+        self._now_us = -math.inf
+        self._request: Future[None] | None = None
+        self._motion: Future[None] | None = None
+        self._phase_us = -math.inf  # since when the group is in this phase
+        self._steps: dict[int, _Step] = {}
+        self._uncleared: set[int] = set()
+        self._planned_start_us: float | None = None
+        self._armed: set[int] = set()  # node ids whose "enable ip mode" is not yet on the bus
+        self._sync_due_us = math.inf
+        self._sync_on_its_way = False
+        self._last_sync_us: float | None = None
+        self._sync_interval_us = 0.0
+        self._heartbeat_due_us = math.inf
+        self._handlers: dict[int, Callable[[bytes, float], None]] = {}
+        self._echo_handlers: dict[int, Callable[[float], None]] = {
+            epos2.SYNC: self._on_sync,
+            epos2.TIME: self.clock.reset,
+        }
+        for axis in self.axes:
+            self._subscribe(axis)
+
+    # ------------------------------------------------------------------ frames in
+
+    def _subscribe(self, axis: Axis) -> None:
+        def tpdo3(data: bytes, t_us: float) -> None:
+            axis.on_tpdo3(data, t_us, self.clock.last_stamp, self._sync_interval_us)
+
+        def emergency(data: bytes, t_us: float) -> None:
+            if axis.on_emergency(data):
+                self._trouble()
+
+        def heartbeat(data: bytes, t_us: float) -> None:
+            if data == b"\x00":  # boot-up: its configuration is gone
+                axis.restarted = True
+                self._trouble()
+
+        node = axis.node_id
+        for cob_id, handler in (
+            (epos2.TPDO1 + node, axis.on_tpdo1),
+            (epos2.TPDO2 + node, axis.on_tpdo2),
+            (epos2.TPDO3 + node, tpdo3),
+            (epos2.TPDO4 + node, axis.on_tpdo4),
+            (epos2.EMCY + node, emergency),
+            (epos2.HEARTBEAT + node, heartbeat),
+        ):
+            self._handlers[cob_id] = self._heard(axis, cob_id, handler)
+        self._echo_handlers[epos2.RPDO1 + node] = lambda t_us: axis.account.seen_on_bus(t_us)
+        self._echo_handlers[epos2.RPDO2 + node] = lambda t_us: self._armed.discard(node)
+
+    def _heard(
+        self, axis: Axis, cob_id: int, handler: Callable[[bytes, float], None]
+    ) -> Callable[[bytes, float], None]:
+        reports_buffer = cob_id == epos2.TPDO1 + axis.node_id
+
+        def receive(data: bytes, t_us: float) -> None:
+            axis.heard_us = t_us
+            handler(data, t_us)
+            if axis.statusword & cia402.FAULT_BIT:
+                self._trouble()
+            elif reports_buffer and self.phase in (Phase.STARTING, Phase.MOVING):
+                self._audit(axis, t_us)
+
+        return receive
+
+    def receive(self, frame: Frame, t_us: float, echo: bool = False) -> None:
+        """Take in a frame from the bus; `echo` marks one of our own, `t_us` when it was sent.
+
+        Call `advance` afterwards.
+        """
+        if echo:
+            if on_echo := self._echo_handlers.get(frame.can_id):
+                on_echo(t_us)
+        elif handler := self._handlers.get(frame.can_id):
+            handler(frame.data, t_us)
+
+    def _on_sync(self, t_us: float) -> None:
+        """A SYNC was on the bus at `t_us`: follow up with its time, as the note's 2.4 says."""
+        self._sync_on_its_way = False
+        self.sync_count += 1
+        if self._last_sync_us is not None:
+            self._sync_interval_us = t_us - self._last_sync_us
+        self._last_sync_us = t_us
+        stamp = self.clock.stamp(t_us)
+        self.outbox.append(Frame(epos2.TIME_STAMP, stamp.to_bytes(4, "little")))
+        if self.phase is Phase.STARTING and self.start_us is None:
+            self.start_us = t_us
+
+    # ------------------------------------------------------------------ requests
+
+    def start_clock(self, now_us: float, time_of_day: bytes) -> None:
+        """Begin with TIME (which sets every drive's motion clock to zero), SYNC and heartbeat."""
+        self.outbox.append(Frame(epos2.TIME, time_of_day))
+        self._sync_due_us = now_us + self.settings.sync_period_us
+        self._heartbeat_due_us = now_us
+        for axis in self.axes:
+            axis.heard_us = now_us
+        self.advance(now_us)
+
+    def enable(self) -> Future[None]:
+        """Bring every drive to "operation enabled", holding its position."""
+        request: Future[None] = Future()
+        if self.phase in (Phase.DISABLED, Phase.QUICK_STOPPING):
+            self._accept(request, Phase.ENABLING)
+        elif self.phase is Phase.FAULT:
+            request.set_exception(
+                DriveError(f"can't enable: {self.reason}; reset the fault first")
+            )
+        elif self.phase in IN_MOTION or self.phase is Phase.STANDING:
+            request.set_result(None)
+        else:
+            request.set_exception(DriveError(f"can't enable while {self.phase.value}"))
+        return request
+
+    def disable(self) -> Future[None]:
+        """Switch all drives off where they stand; a motion in progress is not ended here."""
+        request: Future[None] = Future()
+        if self.phase in IN_MOTION:
+            request.set_exception(DriveError("can't disable while moving: stop first"))
+        else:
+            self._accept(request, Phase.DISABLING)
+        return request
+
+    def halt(self) -> Future[None]:
+        """Stop every axis on its own ramp (profile deceleration), at once; then hold."""
+        request: Future[None] = Future()
+        if self.phase in IN_MOTION:
+            self._stop_all("halted on request", request)
+        elif self.phase is Phase.HALTING:
+            request.set_exception(DriveError("already halting"))
+        else:
+            request.set_result(None)
+        return request
+
+    def quick_stop(self) -> Future[None]:
+        """Stop every axis on its quick stop ramp; the drives leave "operation enabled"."""
+        request: Future[None] = Future()
+        if self.phase is Phase.DISABLED:
+            request.set_result(None)
+            return request
+        self._disarm()
+        self.reason = "quick stop on request"
+        self._fail_motion(self.reason)
+        self._accept(request, Phase.QUICK_STOPPING)
+        for axis in self.axes:
+            if axis.state is State.OPERATION_ENABLED:
+                self.outbox.append(axis.controlword(cia402.QUICK_STOP))
+        return request
+
+    def reset_fault(self) -> Future[None]:
+        """Leave the fault state; the axes stay off until they are enabled."""
+        request: Future[None] = Future()
+        if self.phase is not Phase.FAULT:
+            request.set_result(None)
+            return request
+        self._accept(request, Phase.RESETTING)
+        for axis in self.axes:
+            axis.emergency = 0
+        return request
+
+    def reconfigured(self, index: int, statusword: int, now_us: float) -> None:
+        """The drive of axis `index` was brought up anew and answers with `statusword`."""
+        axis = self.axes[index]
+        axis.restarted = False
+        axis.heard_us = now_us
+        axis.report(statusword, now_us)
+
+    def buffer_cleared(self, index: int, error: str = "") -> None:
+        """Answer to a request in `clearing`: access to the buffer is enabled and it is empty."""
+        if error:
+            self._settle_fault(f"{self.axes[index]}: {error}")
+        else:
+            self._uncleared.discard(index)
+
+    def begin(self, reference: Reference, start_us: float | None = None) -> Future[None]:
+        """Start a motion from rest; its SYNC goes out at `start_us`, or as soon as possible.
+
+        The future ends with the motion: a result when all axes have arrived, `MotionAborted`
+        when they were stopped. `TrajectoryError` when no motion can begin.
+        """
+        if self.phase is not Phase.STANDING:
+            raise TrajectoryError(f"can't move: the drives are {self.describe_phase()}")
+        demands = [axis.demand_qc for axis in self.axes]
+        self._fitter.begin(reference, [demand for demand in demands if demand is not None])
+        self.reference = reference
+        self.reason = ""
+        self.start_us = None
+        self._planned_start_us = start_us
+        self._motion = Future()
+        for axis in self.axes:
+            axis.account = BufferAccount()
+        self._enter(Phase.PRIMING)
+        self._feed()
+        return self._motion
+
+    def replace(self, join: Callable[[Reference, int], Reference]) -> None:
+        """Change the motion in progress: `join(current, at_ms)` gives what is commanded from
+        `at_ms` on, the end of what is already committed to the drives.
+
+        `TrajectoryError` (from `join`, too) leaves the motion in progress as it is.
+        """
+        if self.reference is None or self.phase not in IN_MOTION:
+            raise TrajectoryError(f"nothing to replace: the drives are {self.describe_phase()}")
+        if any(axis.account.ended for axis in self.axes):
+            raise TrajectoryError("the motion in progress is already ending")
+        reference = join(self.reference, self.committed_ms)
+        self._fitter.replace(reference)
+        self.reference = reference
+
+    # ------------------------------------------------------------------ what is known
+
+    @property
+    def committed_ms(self) -> int:
+        """Path time up to which the drives already have records of every axis."""
+        return max(axis.account.committed_ms for axis in self.axes)
+
+    @property
+    def ending(self) -> bool:
+        """Whether the end of the motion is already committed to a drive."""
+        return any(axis.account.ended for axis in self.axes)
+
+    def path_ms(self, now_us: float) -> float | None:
+        """Path time at `now_us`; None before the start SYNC."""
+        return None if self.start_us is None else (now_us - self.start_us) / 1000
+
+    def describe_phase(self) -> str:
+        """The phase in words, with the reason where there is one."""
+        return f"{self.phase.value} ({self.reason})" if self.reason else self.phase.value
+
+    # ------------------------------------------------------------------ time
+
+    def advance(self, now_us: float) -> None:
+        """Do what is due at `now_us`, and set `deadline_us`."""
+        self._now_us = now_us
+        self._watch_silence()
+        self._progress()
+        if now_us >= self._heartbeat_due_us:
+            self.outbox.append(Frame(epos2.HEARTBEAT + HOST_NODE_ID, b"\x05"))  # operational
+            self._heartbeat_due_us = now_us + HEARTBEAT_PERIOD_US
+        if now_us >= self._sync_due_us and self._may_sync():
+            self._send_sync()
+        self.deadline_us = min(
+            self._heartbeat_due_us,
+            self._sync_due_us if self._may_sync() else now_us + HEARTBEAT_PERIOD_US,
+            self._phase_deadline_us(),
+        )
+
+    def _may_sync(self) -> bool:
+        """Between arming and the start no SYNC but the start's; just before it none at all."""
+        if self._sync_on_its_way or self.phase is Phase.ARMING:
+            return False
+        planned = self._planned_start_us
+        return (
+            planned is None
+            or self.phase is not Phase.PRIMING
+            or self._now_us < planned - 2 * ARM_LEAD_US
+        )
+
+    def _send_sync(self) -> None:
+        self._sync_on_its_way = True
+        self.outbox.append(Frame(epos2.SYNC))
+        period = self.settings.sync_period_us
+        self._sync_due_us += period
+        if not self._now_us < self._sync_due_us <= self._now_us + period:
+            self._sync_due_us = self._now_us + period
+
+    def _enter(self, phase: Phase) -> None:
+        self.phase = phase
+        self._phase_us = self._now_us
+        self._steps.clear()
+
+    def _accept(self, request: Future[None], phase: Phase) -> None:
+        self._fail_request(f"given up for another request ({phase.value})")
+        self._request = request
+        self._enter(phase)
+
+    def _phase_deadline_us(self) -> float:
+        if self.phase in (Phase.DISABLED, Phase.STANDING, Phase.FAULT):
+            return math.inf
+        if self.phase is Phase.MOVING:
+            return self._feed_deadline_us()
+        if self.phase is Phase.PRIMING and self._planned_start_us is not None:
+            arm_us = self._planned_start_us - ARM_LEAD_US
+            return arm_us if arm_us > self._now_us else self._now_us + RESEND_US
+        if self.phase is Phase.ARMING and self._planned_start_us is not None:
+            return max(self._planned_start_us, self._now_us)
+        return self._now_us + RESEND_US / 4
+
+    # ------------------------------------------------------------------ phases
+
+    def _progress(self) -> None:
+        match self.phase:
+            case Phase.ENABLING | Phase.DISABLING | Phase.RESETTING:
+                self._walk()
+            case Phase.CLEARING:
+                if not self._uncleared:
+                    self._enter(Phase.SETTLING)
+            case Phase.SETTLING:
+                self._settle()
+            case Phase.PRIMING:
+                self._prime()
+            case Phase.ARMING:
+                self._arm()
+            case Phase.STARTING:
+                self._confirm_start()
+            case Phase.MOVING:
+                self._move()
+            case Phase.HALTING:
+                self._finish_halt()
+            case Phase.QUICK_STOPPING:
+                self._finish_quick_stop()
+            case Phase.DISABLED | Phase.STANDING | Phase.FAULT:
+                pass
+
+    def _walk(self) -> None:
+        """One transition for every axis that is not where the phase wants it."""
+        target = _WALK_TARGET[self.phase]
+        waiting = []
+        for axis in self.axes:
+            if self._arrived(axis, target):
+                continue
+            waiting.append(axis)
+            last = self._steps.get(axis.node_id)
+            if last and last.state is axis.state and self._now_us < last.sent_us + RESEND_US:
+                continue
+            controlword = cia402.step(axis.state, target)
+            if controlword is None:
+                continue
+            if controlword == cia402.FAULT_RESET:  # bit 7 has to rise
+                self.outbox.append(axis.controlword(cia402.DISABLE_VOLTAGE))
+            self.outbox.append(axis.controlword(controlword))
+            self._steps[axis.node_id] = _Step(axis.state, self._now_us)
+        if not waiting:
+            self._walked()
+        elif self._now_us > self._phase_us + STOP_TIMEOUT_US:
+            self._settle_fault(
+                f"{self.phase.value}: "
+                + "; ".join(
+                    f"{axis} is in {axis.state.value}"
+                    + (f": {trouble}" if (trouble := axis.trouble()) else "")
+                    for axis in waiting
+                )
+            )
+
+    def _arrived(self, axis: Axis, target: State) -> bool:
+        if self.phase is Phase.RESETTING:
+            return axis.state not in (State.FAULT, State.FAULT_REACTION_ACTIVE)
+        if self.phase is Phase.DISABLING and axis.state is State.FAULT:
+            return True  # its power stage is off; the fault stays for whoever resets it
+        return axis.state is target
+
+    def _walked(self) -> None:
+        if self.phase is Phase.ENABLING:
+            self._clear_buffers()
+        else:
+            faulty = [axis for axis in self.axes if axis.state is State.FAULT]
+            self._enter(Phase.FAULT if faulty else Phase.DISABLED)
+            if not faulty:
+                self.reason = ""
+            self._grant_request()
+
+    def _clear_buffers(self) -> None:
+        """Clear and enable every buffer; then the next SYNC brings the position demand."""
+        self._enter(Phase.CLEARING)
+        self._uncleared = set(range(len(self.axes)))
+        self.clearing.extend(self._uncleared)
+
+    def _settle(self) -> None:
+        """Motion can begin once every drive has said, since it stands, where its demand is."""
+        late = [
+            axis
+            for axis in self.axes
+            if axis.demand_us <= self._phase_us or axis.statusword_us <= self._phase_us
+        ]
+        if not late:
+            self._enter(Phase.STANDING)
+            self.reason = ""
+            self._grant_request()
+        elif self._now_us > self._phase_us + REPLY_TIMEOUT_US + 3 * self.settings.sync_period_us:
+            names = ", ".join(str(axis) for axis in late)
+            self._settle_fault(f"no answer to SYNC from {names}")
+
+    # ------------------------------------------------------------------ start
+
+    def _prime(self) -> None:
+        """Wait until every drive has reported every record, and for the time to arm."""
+        self._feed()
+        planned = self._planned_start_us
+        missing = [
+            axis
+            for axis in self.axes
+            if not (axis.account.on_bus == axis.account.sent == axis.used)
+        ]
+        if not missing:
+            if self._sync_on_its_way or (
+                planned is not None and self._now_us < planned - ARM_LEAD_US
+            ):
+                return
+            self._enter(Phase.ARMING)
+            for axis in self.axes:
+                self._armed.add(axis.node_id)
+                self.outbox.append(
+                    axis.synchronous_controlword(cia402.ENABLE_OPERATION | epos2.ENABLE_IP_MODE)
+                )
+        elif self._now_us > self._phase_us + REPLY_TIMEOUT_US:
+            axis = missing[0]
+            self._stop_all(
+                f"{axis} reports {axis.used} records in its buffer where "
+                f"{axis.account.sent} were sent"
+            )
+
+    def _arm(self) -> None:
+        """All controlwords seen on the bus: now the SYNC that makes them count."""
+        if self._armed:
+            if self._now_us > self._phase_us + REPLY_TIMEOUT_US:
+                self._stop_all(
+                    f"the start controlword was not seen on the bus for {len(self._armed)} axes"
+                )
+        elif self._planned_start_us is None or self._now_us >= self._planned_start_us:
+            self._enter(Phase.STARTING)
+            self._sync_due_us = self._now_us
+            self._send_sync()
+
+    def _confirm_start(self) -> None:
+        if self.start_us is None:
+            if self._now_us > self._phase_us + REPLY_TIMEOUT_US:
+                self._stop_all("the start SYNC was not seen on the bus")
+            return
+        self._feed()
+        inactive = [axis for axis in self.axes if not axis.ip_active]
+        if not inactive:
+            self._enter(Phase.MOVING)
+            self.events.append(Event("started", f"{len(self.axes)} axes started on one SYNC"))
+            self._move()
+        elif self._now_us > self.start_us + ACTIVE_TIMEOUT_US:
+            names = ", ".join(f"{axis} ({axis.state.value})" for axis in inactive)
+            self._stop_all(f"ip mode not active after the start SYNC: {names}")
+
+    # ------------------------------------------------------------------ motion
+
+    def _feed(self) -> None:
+        """Keep `buffer_time_ms`, and never fewer than three records, ahead in every drive."""
+        path_ms = self.path_ms(self._now_us)
+        for index, axis in enumerate(self.axes):
+            account = axis.account
+            while not account.ended and self._feed_due_ms(account) <= (path_ms or 0.0):
+                try:
+                    record = self._fitter.next(index)
+                except TrajectoryError as error:
+                    self._stop_all(f"{axis}: {error}")
+                    return
+                if record is None:
+                    break
+                account.send(record)
+                self.outbox.append(axis.record(record))
+
+    def _feed_due_ms(self, account: BufferAccount) -> float:
+        """Path time at which the buffer takes the next record."""
+        due = min(
+            account.committed_ms - self.settings.buffer_time_ms,
+            account.leaves_ms(MIN_RECORDS_AHEAD),
+        )
+        return max(due, account.leaves_ms(MAX_RECORDS_AHEAD))
+
+    def _feed_deadline_us(self) -> float:
+        assert self.start_us is not None
+        due = [
+            self._feed_due_ms(axis.account) for axis in self.axes if not axis.account.ended
+        ]
+        end_ms = self.committed_ms + END_TIMEOUT_MS
+        return self.start_us + 1000 * min(due, default=end_ms)
+
+    def _move(self) -> None:
+        self._feed()
+        if self.phase is not Phase.MOVING:
+            return
+        path_ms = self.path_ms(self._now_us)
+        assert path_ms is not None
+        active = [axis for axis in self.axes if axis.ip_active]
+        for axis in self.axes:
+            account = axis.account
+            gone = not axis.ip_active
+            if gone and not (account.ended and path_ms > account.committed_ms - 50):
+                self._stop_all(f"{axis} left interpolated position mode on its own")
+                return
+        if not active:
+            self._finish_motion()
+        elif path_ms > self.committed_ms + END_TIMEOUT_MS and self.ending:
+            self._stop_all(f"{active[0]} is still active after its end record")
+
+    def _audit(self, axis: Axis, t_us: float) -> None:
+        """Compare what the drive says of its buffer with the books."""
+        wrong = axis.account.mismatch(axis.free, t_us, self.path_ms(t_us))
+        if wrong:
+            self._stop_all(f"{axis}: {wrong}")
+
+    def _finish_motion(self) -> None:
+        """All axes stand at their ends, enabled; bit 4 has to fall so that it can rise again."""
+        assert self.reference is not None
+        for axis in self.axes:
+            self.outbox.append(axis.controlword(cia402.ENABLE_OPERATION))
+            axis.demand_qc = axis.account.last_position_qc
+        self._enter(Phase.STANDING)
+        self.reference = None
+        motion, self._motion = self._motion, None
+        self.events.append(Event("done", "all axes have arrived"))
+        if motion:
+            motion.set_result(None)
+
+    # ------------------------------------------------------------------ stopping and trouble
+
+    def _disarm(self) -> None:
+        """Take back "enable ip mode" where no SYNC has made it count yet."""
+        if self.phase is Phase.ARMING:
+            for axis in self.axes:
+                self.outbox.append(axis.synchronous_controlword(cia402.ENABLE_OPERATION))
+        self._armed.clear()
+
+    def _stop_all(self, reason: str, request: Future[None] | None = None) -> None:
+        """Halt every axis that is in operation; `_finish_halt` goes on when they stand.
+
+        Without a `request` this is a fault: it takes a reset before anything moves again.
+        """
+        self._disarm()
+        self.reason = reason
+        if request is not None:
+            self._fail_request("given up: halt requested")
+            self._request = request
+        self._enter(Phase.HALTING)
+        for axis in self.axes:
+            if axis.state is State.OPERATION_ENABLED:
+                self.outbox.append(
+                    axis.controlword(
+                        cia402.ENABLE_OPERATION | epos2.ENABLE_IP_MODE | cia402.HALT
+                    )
+                )
+
+    def _finish_halt(self) -> None:
+        """When all stand: clear bit 4 first, then release the halt, or motion starts again."""
+        late = [axis for axis in self.axes if not self._halted(axis)]
+        complaints = self._complaints()
+        if late and self._now_us <= self._phase_us + STOP_TIMEOUT_US:
+            return
+        for axis in self.axes:
+            if axis.state is State.OPERATION_ENABLED:
+                self.outbox.append(axis.controlword(cia402.ENABLE_OPERATION | cia402.HALT))
+                self.outbox.append(axis.controlword(cia402.ENABLE_OPERATION))
+        if late:
+            names = ", ".join(str(axis) for axis in late)
+            self._settle_fault(f"{self.reason}; not at rest after the halt: {names}")
+        elif self._request is None:
+            self._settle_fault("; ".join(dict.fromkeys(filter(None, (self.reason, complaints)))))
+        elif complaints:
+            self._settle_fault(complaints)
+        else:
+            self._fail_motion(self.reason)
+            self._clear_buffers()
+
+    def _halted(self, axis: Axis) -> bool:
+        if self._silent(axis):
+            return True  # nothing to wait for; its own heartbeat watch stops it
+        if axis.state is State.OPERATION_ENABLED:
+            return (
+                axis.statusword_us > self._phase_us
+                and not axis.ip_active
+                and bool(axis.statusword & cia402.TARGET_REACHED)
+            )
+        return axis.state is not State.FAULT_REACTION_ACTIVE
+
+    def _finish_quick_stop(self) -> None:
+        moving = [
+            axis
+            for axis in self.axes
+            if axis.state in (State.OPERATION_ENABLED, State.FAULT_REACTION_ACTIVE)
+            or (
+                axis.state is State.QUICK_STOP_ACTIVE
+                and not axis.statusword & cia402.TARGET_REACHED
+            )
+        ]
+        if not moving:
+            self._enter(Phase.FAULT if self._complaints() else Phase.DISABLED)
+            self._grant_request()
+        elif self._now_us > self._phase_us + STOP_TIMEOUT_US:
+            self._settle_fault(
+                "quick stop: "
+                + ", ".join(f"{axis} is in {axis.state.value}" for axis in moving)
+            )
+
+    def _silent(self, axis: Axis) -> bool:
+        return self._now_us > axis.heard_us + SILENCE_TIMEOUT_US
+
+    def _watch_silence(self) -> None:
+        if self.phase not in (Phase.FAULT, Phase.HALTING, Phase.RESETTING):
+            if any(self._silent(axis) for axis in self.axes):
+                self._trouble()
+
+    def _complaints(self) -> str:
+        """What is wrong with the drives, axis by axis; "" if nothing."""
+        words = []
+        for axis in self.axes:
+            if self._silent(axis):
+                words.append(f"{axis} is silent: check its power and the bus")
+            elif axis.restarted:
+                words.append(f"{axis} has restarted")
+            elif trouble := axis.trouble():
+                words.append(f"{axis}: {trouble}")
+        return "; ".join(words)
+
+    def _trouble(self) -> None:
+        """An axis complains: all stop, whatever the group is doing."""
+        if self.phase in IN_MOTION:
+            self._stop_all(self._complaints())
+        elif self.phase not in (Phase.FAULT, Phase.HALTING, Phase.RESETTING):
+            self._settle_fault(self._complaints())
+
+    def _settle_fault(self, reason: str) -> None:
+        """Come to rest in the fault phase, which only somebody's request leaves."""
+        self.reason = reason
+        self._disarm()
+        self._enter(Phase.FAULT)
+        self.events.append(Event("fault", reason))
+        self._fail_motion(reason)
+        self._fail_request(reason)
+
+    def _fail_motion(self, reason: str) -> None:
+        self.reference = None
+        motion, self._motion = self._motion, None
+        if motion:
+            self.events.append(Event("aborted", reason))
+            motion.set_exception(MotionAborted(reason))
+
+    def _fail_request(self, reason: str) -> None:
+        request, self._request = self._request, None
+        if request:
+            request.set_exception(DriveError(reason))
+
+    def _grant_request(self) -> None:
+        request, self._request = self._request, None
+        if request:
+            request.set_result(None)
