@@ -1,0 +1,326 @@
+"""The driver node: a managed ROS 2 node around `epos2_ros.bus.driver.Driver`.
+
+It translates messages and owns no motion logic. What this file keeps to:
+
+* A blocking service or transition never stalls a topic: each blocking callback has its own
+  callback group, and the executor has a thread for every group.
+* Transitions follow one another: whoever asks (a service, autostart, Ctrl-C) holds
+  `_transitions` meanwhile.
+* What goes wrong on purpose (`Epos2RosError`) is one log line and a refused transition or
+  `success: false`; the process stays up, so that `configure` can be asked for again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import math
+import signal
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import rclpy
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.srv import ChangeState
+from rclpy._rclpy_pybind11 import RCLError
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
+from rclpy.executors import MultiThreadedExecutor
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory
+
+from epos2_ros.bus.driver import Driver, Event
+from epos2_ros.config import DriverConfig
+from epos2_ros.errors import Epos2RosError
+from epos2_ros.motion.trajectory import Trajectory
+from epos2_ros.node import messages
+from epos2_ros.node.parameters import Parameters
+
+EXECUTOR_THREADS = 8  # lifecycle and parameters, trajectory, four services, topics; one to spare
+DIAGNOSTICS_PERIOD_S = 1.0
+
+MakeDriver = Callable[[DriverConfig, Callable[[Event], None]], Driver]
+Transition = Callable[["DriverNode", LifecycleState], TransitionCallbackReturn]
+
+
+def _transition(step: Transition) -> Transition:
+    """A transition that says why it fails; rclpy alone would swallow the exception."""
+
+    @functools.wraps(step)
+    def run(node: DriverNode, state: LifecycleState) -> TransitionCallbackReturn:
+        name = step.__name__.removeprefix("on_")
+        try:
+            return step(node, state)
+        except Epos2RosError as error:
+            node.get_logger().error(f"{name} failed: {error}")
+            return TransitionCallbackReturn.FAILURE
+        except Exception:
+            node.get_logger().fatal(f"{name} failed:\n{traceback.format_exc()}")
+            raise
+
+    return run
+
+
+class DriverNode(LifecycleNode):
+    """`/epos2_driver`."""
+
+    def __init__(self, make_driver: MakeDriver = Driver, **kwargs: Any) -> None:
+        super().__init__("epos2_driver", **kwargs)
+        self._make_driver = make_driver
+        self._driver: Driver | None = None
+        self._active = False
+        self._transitions = threading.RLock()
+        self._declared = Parameters(self, changeable=lambda: self._driver is None)
+        self._channel = ""
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._topics_group = MutuallyExclusiveCallbackGroup()
+        self._topic_timers: list[rclpy.timer.Timer] = []
+
+        self._joint_states = self.create_publisher(JointState, "/joint_states", 10)
+        self._buffer_status = self.create_publisher(DiagnosticArray, "~/buffer_status", 10)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.create_subscription(
+            JointTrajectory,
+            "~/joint_trajectory",
+            self._on_trajectory,
+            10,
+            callback_group=MutuallyExclusiveCallbackGroup(),
+        )
+        self._offer(SetBool, "~/enable", self._on_enable)
+        self._offer_trigger("~/halt", "halted", lambda driver: driver.halt())
+        self._offer_trigger("~/quick_stop", "stopped", lambda driver: driver.quick_stop())
+        self._offer_trigger("~/reset_fault", "no fault", lambda driver: driver.reset_fault())
+
+        self._answer_change_state = self._service_change_state.callback
+        self._service_change_state.callback = self._on_change_state
+        if self._declared["autostart"]:
+            self._autostart_timer = self.create_timer(0.0, self._autostart, clock=self._steady)
+
+    # -- lifecycle ---------------------------------------------------------------------------
+
+    @_transition
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        config = self._declared.config()
+        driver = self._make_driver(config, self._on_event)
+        driver.configure()
+        self._driver, self._channel = driver, config.channel
+        self._topic_timers = [
+            self.create_timer(period, publish, self._topics_group, clock=self._steady)
+            for period, publish in (
+                (1.0 / self._declared["state_rate"], self._publish_joint_states),
+                (1.0 / self._declared["status_rate"], self._publish_buffer_status),
+                (DIAGNOSTICS_PERIOD_S, self._publish_diagnostics),
+            )
+        ]
+        drives = "simulated drives" if config.simulate else "drives"
+        self.get_logger().info(
+            f"configured: {len(config.axes)} {drives} on {config.interface} {config.channel}"
+        )
+        return TransitionCallbackReturn.SUCCESS
+
+    @_transition
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._configured().enable()
+        self._active = True
+        self.get_logger().info("active: all axes enabled, ready for a trajectory")
+        return TransitionCallbackReturn.SUCCESS
+
+    @_transition
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._active = False
+        self._configured().disable()
+        self.get_logger().info("inactive: all axes disabled")
+        return TransitionCallbackReturn.SUCCESS
+
+    @_transition
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._release()
+        return TransitionCallbackReturn.SUCCESS
+
+    @_transition
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        try:
+            if self._active:
+                self.on_deactivate(state)
+        finally:
+            self._release()
+        return TransitionCallbackReturn.SUCCESS
+
+    @_transition
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._release()
+        return TransitionCallbackReturn.SUCCESS
+
+    def shut_down(self) -> None:
+        """Stop on the path, disable and close the bus, in whatever state the node is."""
+        with self._transitions:
+            if self._state_machine.current_state[1] != "finalized":
+                self.trigger_shutdown()
+
+    def _release(self) -> None:
+        """Closes the bus and ends the topics; harmless when there is nothing to close."""
+        self._active = False
+        for timer in self._topic_timers:
+            self.destroy_timer(timer)
+        self._topic_timers = []
+        driver, self._driver = self._driver, None
+        if driver is not None:
+            driver.close()
+
+    def _autostart(self) -> None:
+        self._autostart_timer.cancel()
+        with self._transitions:
+            if self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
+                self.trigger_activate()
+
+    def _on_change_state(
+        self, request: ChangeState.Request, response: ChangeState.Response
+    ) -> ChangeState.Response:
+        """rclpy raises on a transition that the state does not have, which would end the node."""
+        with self._transitions:
+            try:
+                return self._answer_change_state(request, response)
+            except RCLError:
+                state = self._state_machine.current_state[1]
+                self.get_logger().warning(
+                    f"no transition {request.transition.label or request.transition.id} "
+                    f"while the node is {state}"
+                )
+                response.success = False
+                return response
+
+    # -- topics ------------------------------------------------------------------------------
+
+    def _on_trajectory(self, message: JointTrajectory) -> None:
+        try:
+            self._activated().submit(Trajectory.from_message(message))
+        except Epos2RosError as error:
+            self.get_logger().error(f"trajectory refused: {error}")
+
+    def _publish_joint_states(self) -> None:
+        if (driver := self._driver) is not None:
+            snapshot = driver.snapshot()
+            newest_us = max(axis.stamp_us for axis in snapshot.axes)
+            if math.isfinite(newest_us):  # before the first sample there is no state
+                stamp = self._ros_time(newest_us)
+                self._joint_states.publish(messages.joint_state(snapshot, stamp))
+
+    def _publish_buffer_status(self) -> None:
+        if (driver := self._driver) is not None:
+            snapshot = driver.snapshot()
+            stamp = self.get_clock().now().to_msg()
+            self._buffer_status.publish(messages.buffer_status(snapshot, self._channel, stamp))
+
+    def _publish_diagnostics(self) -> None:
+        if (driver := self._driver) is not None:
+            snapshot = driver.snapshot()
+            stamp = self.get_clock().now().to_msg()
+            name = self.get_name()
+            self._diagnostics.publish(messages.diagnostics(snapshot, name, self._channel, stamp))
+
+    def _ros_time(self, host_us: float) -> Time:
+        """Host time (monotonic [µs]) as ROS time."""
+        age_ns = time.monotonic_ns() - round(host_us * 1e3)
+        return (self.get_clock().now() - Duration(nanoseconds=age_ns)).to_msg()
+
+    def _on_event(self, event: Event) -> None:
+        if event.kind in ("aborted", "fault"):
+            self.get_logger().error(event.text)
+        else:
+            self.get_logger().info(event.text)
+
+    # -- services ----------------------------------------------------------------------------
+
+    def _offer(self, kind: Any, name: str, answer: Callable[[Any, Any], Any]) -> None:
+        self.create_service(kind, name, answer, callback_group=MutuallyExclusiveCallbackGroup())
+
+    def _offer_trigger(self, name: str, done: str, action: Callable[[Driver], None]) -> None:
+        def answer(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+            return self._answer(response, done, lambda: action(self._configured()))
+
+        self._offer(Trigger, name, answer)
+
+    def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        if request.data:
+            return self._answer(response, "all axes enabled", lambda: self._activated().enable())
+        return self._answer(response, "all axes disabled", lambda: self._configured().disable())
+
+    def _answer(self, response: Any, done: str, action: Callable[[], None]) -> Any:
+        try:
+            action()
+            response.success, response.message = True, done
+        except Epos2RosError as error:
+            response.success, response.message = False, str(error)
+        return response
+
+    def _configured(self) -> Driver:
+        if self._driver is None:
+            raise Epos2RosError("the node is not configured")
+        return self._driver
+
+    def _activated(self) -> Driver:
+        driver = self._configured()
+        if not self._active:
+            raise Epos2RosError("the node is not active")
+        return driver
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """`epos2_ros driver`: runs until Ctrl-C or SIGTERM, then stops on the path and returns 0."""
+    args = sys.argv[1:] if argv is None else list(argv)
+    argparse.ArgumentParser(
+        prog="epos2_ros driver",
+        description="The driver node. Parameters are given as to every ROS 2 node: "
+        "--ros-args -p NAME:=VALUE or --params-file FILE.",
+    ).parse_args(remove_ros_args(args))
+
+    # rclpy's own handlers would end the context at once, and the topics with it; here the motion
+    # is brought to a stop first. The main thread does nothing but wait, so it gets the signal.
+    asked_to_stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: asked_to_stop.set())
+    try:
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    except RCLError as error:
+        print(f"epos2_ros driver: {str(error).splitlines()[0]}", file=sys.stderr)
+        return 2
+
+    node = DriverNode()
+    executor = MultiThreadedExecutor(EXECUTOR_THREADS)
+    executor.add_node(node)
+    broken: list[BaseException] = []
+
+    def spin() -> None:
+        try:
+            executor.spin()
+        except Exception as error:
+            broken.append(error)
+        finally:
+            asked_to_stop.set()
+
+    spinning = threading.Thread(target=spin, name="executor", daemon=True)
+    spinning.start()
+    asked_to_stop.wait()
+    node.shut_down()
+    executor.shutdown()
+    spinning.join()
+    node.destroy_node()
+    rclpy.shutdown()
+    if broken:
+        traceback.print_exception(broken[0])
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

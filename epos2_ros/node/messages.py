@@ -1,0 +1,123 @@
+"""What the driver knows, as ROS messages. Pure functions of a snapshot and a stamp.
+
+Layouts: `sensor_msgs/JointState` as joint_state_broadcaster fills it, `diagnostic_msgs` as
+diagnostic_updater does: `name` is "node: part", `hardware_id` is "channel/node id".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING
+
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from sensor_msgs.msg import JointState
+
+from epos2_ros.protocol.epos2 import BufferStatus
+
+if TYPE_CHECKING:
+    from epos2_ros.bus.driver import AxisSnapshot, Snapshot
+
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+
+
+def joint_state(snapshot: Snapshot, stamp: Time) -> JointState:
+    """Position [rad or m], velocity [per second] and motor current [A], in axis order."""
+    message = JointState()
+    message.header.stamp = stamp
+    message.name = [axis.joint for axis in snapshot.axes]
+    message.position = [axis.position for axis in snapshot.axes]
+    message.velocity = [axis.velocity for axis in snapshot.axes]
+    message.effort = [axis.effort for axis in snapshot.axes]
+    return message
+
+
+def buffer_status(snapshot: Snapshot, channel: str, stamp: Time) -> DiagnosticArray:
+    """The interpolation buffer of each drive; the flags are those of object 0x20C4-01."""
+    return _array(stamp, (_buffer_of(axis, channel) for axis in snapshot.axes))
+
+
+def diagnostics(snapshot: Snapshot, node: str, channel: str, stamp: Time) -> DiagnosticArray:
+    """The state of each drive and of the bus."""
+    axes = [_drive_of(axis, node, channel) for axis in snapshot.axes]
+    return _array(stamp, [*axes, _bus_of(snapshot, node, channel)])
+
+
+def _buffer_of(axis: AxisSnapshot, channel: str) -> DiagnosticStatus:
+    flags = {name: bool(axis.status_word & bit) for name, bit in BufferStatus.FLAGS.items()}
+    errors = [name for name, on in flags.items() if on and name.endswith("_error")]
+    warnings = [name for name, on in flags.items() if on and name.endswith("_warning")]
+    worst = (errors + warnings + ["ok"])[0]
+    return DiagnosticStatus(
+        level=ERROR if errors else WARN if warnings else OK,
+        name=axis.joint,
+        message=worst.replace("_", " "),
+        hardware_id=f"{channel}/{axis.node_id}",
+        values=_values(
+            {
+                "used": str(axis.used),
+                "free": str(axis.free),
+                "size": str(axis.size),
+                "buffered_ms": f"{axis.buffered_ms:.0f}",
+                "status_word": f"0x{axis.status_word:04X}",
+                **{name: str(on).lower() for name, on in flags.items()},
+            }
+        ),
+    )
+
+
+def _drive_of(axis: AxisSnapshot, node: str, channel: str) -> DiagnosticStatus:
+    if axis.state in ("fault", "fault reaction active"):
+        level, message = ERROR, axis.fault or axis.state
+    else:
+        level, message = OK if axis.state == "operation enabled" else WARN, axis.state
+    return DiagnosticStatus(
+        level=level,
+        name=f"{node}: {axis.joint}",
+        message=message,
+        hardware_id=f"{channel}/{axis.node_id}",
+        values=_values(
+            {
+                "state": axis.state,
+                "last emergency": axis.fault or "none",
+                "following error [qc]": str(axis.following_error_qc),
+                "clock offset [us]": f"{axis.clock_offset_us:.1f}",
+                "clock drift [ppm]": f"{axis.clock_drift_ppm:.2f}",
+            }
+        ),
+    )
+
+
+def _bus_of(snapshot: Snapshot, node: str, channel: str) -> DiagnosticStatus:
+    level, message = OK, snapshot.state
+    if snapshot.dropped_frames or snapshot.error_frames:
+        level, message = WARN, "frames were lost or disturbed"
+    if snapshot.state == "fault":
+        level, message = ERROR, snapshot.reason
+    return DiagnosticStatus(
+        level=level,
+        name=f"{node}: bus",
+        message=message,
+        hardware_id=channel,
+        values=_values(
+            {
+                "group": snapshot.state,
+                "load [%]": f"{100 * snapshot.bus_load:.1f}",
+                "error frames": str(snapshot.error_frames),
+                "dropped frames": str(snapshot.dropped_frames),
+                "transmit queue full": str(snapshot.refused_frames),
+                "SYNC count": str(snapshot.sync_count),
+                "SYNC time from": snapshot.sync_time_source,
+            }
+        ),
+    )
+
+
+def _values(pairs: Mapping[str, str]) -> list[KeyValue]:
+    return [KeyValue(key=key, value=value) for key, value in pairs.items()]
+
+
+def _array(stamp: Time, statuses: Iterable[DiagnosticStatus]) -> DiagnosticArray:
+    message = DiagnosticArray(status=list(statuses))
+    message.header.stamp = stamp
+    return message

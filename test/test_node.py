@@ -1,0 +1,594 @@
+"""The driver node as other nodes see it: lifecycle, topics, services, log. The drives are faked."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+import rclpy
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from rclpy.context import Context
+from rclpy.executors import MultiThreadedExecutor, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from epos2_ros.bus.driver import AxisSnapshot, Event, Snapshot
+from epos2_ros.config import DriverConfig
+from epos2_ros.errors import BusError, DriveError, TrajectoryError
+from epos2_ros.node import messages
+from epos2_ros.node.driver import EXECUTOR_THREADS, DriverNode
+
+WAIT_S = 20.0  # for something that must happen; reached only when it does not
+LOG_LINE = re.compile(r"\[(\w+)\] \[[\d.]+\] \[epos2_driver\]: (.*)")
+
+
+def axis_snapshot(joint: str, node_id: int, **values: Any) -> AxisSnapshot:
+    standing = {
+        "state": "operation enabled",
+        "position": 0.0,
+        "velocity": 0.0,
+        "effort": math.nan,
+        "stamp_us": time.monotonic_ns() / 1e3,
+        "used": 0,
+        "free": 64,
+        "size": 64,
+        "buffered_ms": 0.0,
+        "status_word": 0x4000,
+        "fault": "",
+        "following_error_qc": 0,
+        "clock_offset_us": 0.0,
+        "clock_drift_ppm": 0.0,
+        "executed_qc": 0,
+        "records_sent": 0,
+    }
+    return AxisSnapshot(joint=joint, node_id=node_id, **{**standing, **values})
+
+
+def snapshot_of(*axes: AxisSnapshot, **values: Any) -> Snapshot:
+    quiet = {
+        "state": "standing",
+        "reason": "",
+        "bus_load": 0.125,
+        "sync_count": 7,
+        "sync_time_source": "kernel",
+        "dropped_frames": 0,
+        "error_frames": 0,
+        "refused_frames": 0,
+    }
+    return Snapshot(axes=axes, **{**quiet, **values})
+
+
+class FakeDriver:
+    """The facade of the bus layer: notes what it is asked, fails or blocks when told to."""
+
+    def __init__(self, config: DriverConfig, on_event: Callable[[Event], None]) -> None:
+        self.config = config
+        self.on_event = on_event
+        self.calls: list[str] = []
+        self.trajectories: list[Any] = []
+        self.failures: dict[str, Exception] = {}
+        self.blocked: dict[str, threading.Event] = {}
+        self.current = snapshot_of(
+            *(axis_snapshot(axis.joint, axis.node_id) for axis in config.axes)
+        )
+
+    def _do(self, name: str) -> None:
+        self.calls.append(name)
+        if name in self.blocked:
+            assert self.blocked[name].wait(WAIT_S)
+        if name in self.failures:
+            raise self.failures[name]
+
+    def configure(self) -> None:
+        self._do("configure")
+
+    def enable(self) -> None:
+        self._do("enable")
+
+    def disable(self) -> None:
+        self._do("disable")
+
+    def halt(self) -> None:
+        self._do("halt")
+
+    def quick_stop(self) -> None:
+        self._do("quick_stop")
+
+    def reset_fault(self) -> None:
+        self._do("reset_fault")
+
+    def close(self) -> None:
+        self._do("close")
+
+    def submit(self, trajectory: Any) -> None:
+        self._do("submit")
+        self.trajectories.append(trajectory)
+
+    def snapshot(self) -> Snapshot:
+        return self.current
+
+
+class World:
+    """A driver node with fake drives, and another node that watches and asks it."""
+
+    def __init__(self, capfd: pytest.CaptureFixture[str]) -> None:
+        self.context = Context()
+        rclpy.init(args=[], context=self.context, domain_id=1 + os.getpid() % 100)
+        self.drivers: list[FakeDriver] = []
+        self.prepare: Callable[[FakeDriver], None] = lambda driver: None
+        self.peer = Node("peer", context=self.context)
+        self.log: list[tuple[str, str]] = []  # severity and text of each line of the node
+        self.text = ""
+        self._capfd = capfd
+        self.node: DriverNode | None = None
+        self._executors = [
+            SingleThreadedExecutor(context=self.context),
+            MultiThreadedExecutor(EXECUTOR_THREADS, context=self.context),
+        ]
+        self._executors[0].add_node(self.peer)
+        self._threads: list[threading.Thread] = []
+        self._spin(self._executors[0])
+
+    def _spin(self, executor: Any) -> None:
+        thread = threading.Thread(target=executor.spin, daemon=True)
+        thread.start()
+        self._threads.append(thread)
+
+    def start(self, **parameters: Any) -> DriverNode:
+        def make(config: DriverConfig, on_event: Callable[[Event], None]) -> Any:
+            driver = FakeDriver(config, on_event)
+            self.prepare(driver)
+            self.drivers.append(driver)
+            return driver
+
+        overrides = [Parameter(n.replace("__", "."), value=v) for n, v in parameters.items()]
+        self.node = DriverNode(make, context=self.context, parameter_overrides=overrides)
+        self._executors[1].add_node(self.node)
+        self._spin(self._executors[1])
+        return self.node
+
+    def started(self, **parameters: Any) -> FakeDriver:
+        """A node that has activated itself."""
+        self.start(**{"joints": ["a", "b"], **parameters})
+        self.logged("active: ")
+        return self.drivers[0]
+
+    def call(self, kind: Any, name: str, request: Any) -> Any:
+        client = self.peer.create_client(kind, name)
+        assert client.wait_for_service(WAIT_S)
+        done = threading.Event()
+        future = client.call_async(request)
+        future.add_done_callback(lambda _: done.set())
+        assert done.wait(WAIT_S), f"{name} did not answer"
+        self.peer.destroy_client(client)
+        return future.result()
+
+    def trigger(self, name: str) -> Any:
+        return self.call(Trigger, f"/epos2_driver/{name}", Trigger.Request())
+
+    def enable(self, on: bool) -> Any:
+        return self.call(SetBool, "/epos2_driver/enable", SetBool.Request(data=on))
+
+    def change(self, transition: int) -> bool:
+        request = ChangeState.Request(transition=Transition(id=transition))
+        return bool(self.call(ChangeState, "/epos2_driver/change_state", request).success)
+
+    @property
+    def state(self) -> str:
+        answer = self.call(GetState, "/epos2_driver/get_state", GetState.Request())
+        return str(answer.current_state.label)
+
+    def listen(self, kind: Any, topic: str) -> list[Any]:
+        got: list[Any] = []
+        self.peer.create_subscription(kind, topic, got.append, 10)
+        return got
+
+    def wait(self, what: Callable[[], Any]) -> None:
+        deadline = time.monotonic() + WAIT_S
+        while not what():
+            assert time.monotonic() < deadline
+            time.sleep(0.005)
+
+    def lines(self) -> list[str]:
+        """What the node has logged so far."""
+        self.text += self._capfd.readouterr().err
+        self.log = LOG_LINE.findall(self.text)
+        return [text for _, text in self.log]
+
+    def logged(self, words: str) -> list[str]:
+        """The log as soon as these words are in it."""
+        self.wait(lambda: any(words in line for line in self.lines()))
+        return self.lines()
+
+    def publish_trajectory(self, *joints: str) -> None:
+        publisher = self.peer.create_publisher(
+            JointTrajectory, "/epos2_driver/joint_trajectory", 10
+        )
+        self.wait(publisher.get_subscription_count)
+        point = JointTrajectoryPoint(positions=[0.0] * len(joints))
+        publisher.publish(JointTrajectory(joint_names=list(joints), points=[point]))
+
+    def close(self) -> None:
+        for driver in self.drivers:
+            driver.failures.clear()
+        if self.node is not None:
+            self.node.shut_down()
+        for executor in self._executors:
+            executor.shutdown()
+        for thread in self._threads:
+            thread.join(WAIT_S)
+        self.peer.destroy_node()
+        if self.node is not None:
+            self.node.destroy_node()
+        self.context.shutdown()
+
+
+@pytest.fixture
+def world(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Iterator[World]:
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    it = World(capfd)
+    yield it
+    it.close()
+
+
+# -- lifecycle -------------------------------------------------------------------------------
+
+
+def test_it_configures_and_activates_itself(world):
+    driver = world.started()
+    assert driver.calls == ["configure", "enable"]
+    assert world.state == "active"
+
+
+def test_without_autostart_it_follows_the_transitions(world):
+    world.start(autostart=False, joints=["a"])
+    assert world.state == "unconfigured"
+    assert not world.drivers
+    for transition, state, calls in (
+        (Transition.TRANSITION_CONFIGURE, "inactive", ["configure"]),
+        (Transition.TRANSITION_ACTIVATE, "active", ["configure", "enable"]),
+        (Transition.TRANSITION_DEACTIVATE, "inactive", ["configure", "enable", "disable"]),
+        (
+            Transition.TRANSITION_CLEANUP,
+            "unconfigured",
+            ["configure", "enable", "disable", "close"],
+        ),
+    ):
+        assert world.change(transition)
+        assert world.state == state
+        assert world.drivers[0].calls == calls
+
+
+def test_shutdown_while_active_disables_and_closes(world):
+    driver = world.started()
+    assert world.change(Transition.TRANSITION_ACTIVE_SHUTDOWN)
+    assert driver.calls == ["configure", "enable", "disable", "close"]
+    assert world.state == "finalized"
+
+
+def test_a_transition_the_state_does_not_have_is_refused_and_the_node_lives_on(world):
+    driver = world.started()
+    assert not world.change(Transition.TRANSITION_CONFIGURE)
+    assert not world.change(Transition.TRANSITION_ACTIVATE)
+    assert not world.change(77)
+    assert world.state == "active"
+    assert driver.calls == ["configure", "enable"]
+
+
+def test_a_failed_configure_is_one_line_and_can_be_repeated(world):
+    reason = "can0: no such interface; see `ip link`"
+
+    def no_bus(driver: FakeDriver) -> None:
+        driver.failures["configure"] = BusError(reason)
+
+    world.prepare = no_bus
+    world.start(joints=["a"])
+    assert world.logged("failed") == [f"configure failed: {reason}"]
+    assert world.state == "unconfigured"
+    assert world.drivers[0].calls == ["configure"]  # which closes the bus itself when it fails
+    world.prepare = lambda driver: None
+    assert world.change(Transition.TRANSITION_CONFIGURE)
+    assert world.state == "inactive"
+
+
+def test_a_wrong_parameter_refuses_configure_with_one_line(world):
+    world.start(joints=["a"], axes__a__gear_ratio=-2.0)
+    (line,) = world.logged("failed")
+    assert line.startswith("configure failed: axes.a.gear_ratio is -2.0; it must be ")
+    assert world.state == "unconfigured"
+    assert not world.drivers
+
+
+def test_when_an_axis_cannot_be_enabled_the_node_stays_inactive(world):
+    def faulty(driver: FakeDriver) -> None:
+        driver.failures["enable"] = DriveError("a: over-current (0x2310)")
+
+    world.prepare = faulty
+    world.start(joints=["a"])
+    assert world.logged("failed")[1:] == ["activate failed: a: over-current (0x2310)"]
+    assert world.state == "inactive"
+    world.drivers[0].failures.clear()
+    assert world.change(Transition.TRANSITION_ACTIVATE)
+    assert world.state == "active"
+
+
+def test_an_unexpected_error_is_in_the_log_and_leaves_the_node_unconfigured(world):
+    def broken(driver: FakeDriver) -> None:
+        driver.failures["enable"] = ZeroDivisionError("a bug")
+
+    world.prepare = broken
+    world.start(joints=["a"])
+    world.logged("activate failed:")
+    assert "ZeroDivisionError: a bug" in world.text
+    assert world.state == "unconfigured"
+    assert world.drivers[0].calls[-1] == "close"
+
+
+# -- trajectories ----------------------------------------------------------------------------
+
+
+def test_a_trajectory_reaches_the_drives(world):
+    driver = world.started()
+    world.publish_trajectory("b", "a")
+    world.wait(lambda: driver.trajectories)
+    assert tuple(driver.trajectories[0].joints) == ("b", "a")
+
+
+def test_a_refused_trajectory_is_one_line(world):
+    driver = world.started()
+    reason = "joint a, point 3: 2.1 rad/s is over its limit, 2 rad/s"
+    driver.failures["submit"] = TrajectoryError(reason)
+    before = len(world.lines())
+    world.publish_trajectory("a", "b")
+    world.logged("refused")
+    driver.failures.clear()
+    world.publish_trajectory("a", "b")
+    world.wait(lambda: driver.trajectories)
+    world.lines()
+    assert world.log[before:] == [("ERROR", f"trajectory refused: {reason}")]
+
+
+def test_a_trajectory_is_refused_while_inactive(world):
+    driver = world.started()
+    assert world.change(Transition.TRANSITION_DEACTIVATE)
+    world.publish_trajectory("a", "b")
+    world.logged("trajectory refused: the node is not active")
+    assert "submit" not in driver.calls
+
+
+def test_events_of_the_drives_are_logged(world):
+    driver = world.started()
+    driver.on_event(Event("started", "the group started"))
+    driver.on_event(Event("fault", "b: following error (0x8611)"))
+    world.logged("0x8611")
+    assert world.log[-2:] == [
+        ("INFO", "the group started"),
+        ("ERROR", "b: following error (0x8611)"),
+    ]
+
+
+# -- topics ----------------------------------------------------------------------------------
+
+
+def test_joint_states_are_those_of_the_drives_at_the_time_of_the_sample(world):
+    driver = world.started(state_rate=200.0)
+    states = world.listen(JointState, "/joint_states")
+    sampled_us, sampled_ns = time.monotonic_ns() / 1e3, time.time_ns()
+    driver.current = snapshot_of(
+        axis_snapshot("a", 1, position=1.5, velocity=-0.5, stamp_us=sampled_us),
+        axis_snapshot("b", 2, position=0.25, effort=2.0, stamp_us=sampled_us - 500.0),
+    )
+    world.wait(lambda: states and states[-1].position[0] == 1.5)
+    time.sleep(0.2)  # the sample grows old, its stamp does not
+    count = len(states)
+    world.wait(lambda: len(states) > count)
+    state = states[-1]
+    assert list(state.name) == ["a", "b"]
+    assert list(state.position) == [1.5, 0.25]
+    assert list(state.velocity) == [-0.5, 0.0]
+    assert math.isnan(state.effort[0])
+    assert state.effort[1] == 2.0
+    stamp_ns = state.header.stamp.sec * 10**9 + state.header.stamp.nanosec
+    assert stamp_ns == pytest.approx(sampled_ns, abs=100e6)
+
+
+def test_buffer_status_and_diagnostics_are_published(world):
+    world.started(can__channel="can7")
+    buffers = world.listen(DiagnosticArray, "/epos2_driver/buffer_status")
+    diagnostics = world.listen(DiagnosticArray, "/diagnostics")
+    world.wait(lambda: buffers and diagnostics)
+    assert [(s.name, s.hardware_id) for s in buffers[-1].status] == [
+        ("a", "can7/1"),
+        ("b", "can7/2"),
+    ]
+    assert [(s.name, s.hardware_id) for s in diagnostics[-1].status] == [
+        ("epos2_driver: a", "can7/1"),
+        ("epos2_driver: b", "can7/2"),
+        ("epos2_driver: bus", "can7"),
+    ]
+    assert buffers[-1].header.stamp.sec > 0
+
+
+def test_topics_end_with_cleanup(world):
+    driver = world.started(state_rate=200.0)
+    states = world.listen(JointState, "/joint_states")
+    world.wait(lambda: states)
+    assert world.change(Transition.TRANSITION_DEACTIVATE)
+    count = len(states)
+    world.wait(lambda: len(states) > count)  # where the joints are is known without power too
+    assert world.change(Transition.TRANSITION_CLEANUP)
+    assert driver.calls[-1] == "close"
+    assert world.change(Transition.TRANSITION_CONFIGURE)
+    world.drivers[1].current = snapshot_of(axis_snapshot("a", 1, position=9.0))
+    world.wait(lambda: states[-1].position[0] == 9.0)
+
+
+# -- services --------------------------------------------------------------------------------
+
+
+def test_services_ask_the_drives_and_say_what_was_reached(world):
+    driver = world.started()
+    for name in ("halt", "quick_stop", "reset_fault"):
+        assert world.trigger(name).success
+    assert world.enable(False).success
+    assert world.enable(True).success
+    assert driver.calls == [
+        *("configure", "enable", "halt", "quick_stop", "reset_fault", "disable", "enable"),
+    ]
+
+
+@pytest.mark.parametrize("name", ["halt", "quick_stop", "reset_fault", "enable"])
+def test_a_service_that_fails_says_which_axis_and_why(world, name):
+    driver = world.started()
+    reason = "b: still in fault: over-current (0x2310)"
+    driver.failures[name] = DriveError(reason)
+    answer = world.enable(True) if name == "enable" else world.trigger(name)
+    assert not answer.success
+    assert answer.message == reason
+
+
+def test_services_of_a_node_that_is_not_configured_say_so(world):
+    world.start(autostart=False)
+    for answer in (world.trigger("halt"), world.enable(True), world.enable(False)):
+        assert not answer.success
+        assert answer.message == "the node is not configured"
+
+
+def test_enable_belongs_to_an_active_node(world):
+    driver = world.started()
+    assert world.change(Transition.TRANSITION_DEACTIVATE)
+    answer = world.enable(True)
+    assert not answer.success
+    assert answer.message == "the node is not active"
+    assert driver.calls[-1] == "disable"
+
+
+def test_a_service_that_takes_long_stalls_neither_topics_nor_other_services(world):
+    driver = world.started(state_rate=100.0)
+    states = world.listen(JointState, "/joint_states")
+    driver.blocked = {n: threading.Event() for n in ("enable", "reset_fault")}
+    client = world.peer.create_client(SetBool, "/epos2_driver/enable")
+    assert client.wait_for_service(WAIT_S)
+    enabling = client.call_async(SetBool.Request(data=True))
+    world.wait(lambda: driver.calls == ["configure", "enable", "enable"])
+    world.publish_trajectory("a", "b")
+    world.wait(lambda: driver.trajectories)
+    assert world.trigger("halt").success
+    count = len(states)
+    world.wait(lambda: len(states) > count + 5)
+    assert not enabling.done()
+    driver.blocked["enable"].set()
+    world.wait(enabling.done)
+    assert enabling.result().success
+
+
+# -- messages --------------------------------------------------------------------------------
+
+# maxon, application note "Interpolation Position Mode", table 13; velocity and acceleration
+# errors are bits 10 and 11 (the table repeats the numbers of the warnings).
+STATUS_BITS = {
+    "underflow_warning": 0,
+    "overflow_warning": 1,
+    "velocity_warning": 2,
+    "acceleration_warning": 3,
+    "underflow_error": 8,
+    "overflow_error": 9,
+    "velocity_error": 10,
+    "acceleration_error": 11,
+    "buffer_enabled": 14,
+    "ip_mode_active": 15,
+}
+
+
+def buffer_values(status_word: int, **values: Any) -> tuple[DiagnosticStatus, dict[str, str]]:
+    axis = axis_snapshot("a", 3, status_word=status_word, **values)
+    (status,) = messages.buffer_status(snapshot_of(axis), "can0", Time()).status
+    return status, {value.key: value.value for value in status.values}
+
+
+@pytest.mark.parametrize("flag", STATUS_BITS)
+def test_each_flag_of_the_buffer_status_word_is_a_key(flag):
+    status, values = buffer_values(1 << STATUS_BITS[flag])
+    assert {name: values[name] for name in STATUS_BITS} == {
+        name: "true" if name == flag else "false" for name in STATUS_BITS
+    }
+    if flag.endswith("error"):
+        assert (status.level, status.message) == (DiagnosticStatus.ERROR, flag.replace("_", " "))
+    elif flag.endswith("warning"):
+        assert (status.level, status.message) == (DiagnosticStatus.WARN, flag.replace("_", " "))
+    else:
+        assert status.level == DiagnosticStatus.OK
+
+
+def test_the_worst_flag_speaks():
+    status, _ = buffer_values(0x8000 | 0x0001 | 0x0400)
+    assert (status.level, status.message) == (DiagnosticStatus.ERROR, "velocity error")
+
+
+def test_buffer_status_has_the_numbers():
+    status, values = buffer_values(0xC002, used=61, free=3, buffered_ms=480.0)
+    assert (status.name, status.hardware_id) == ("a", "can0/3")
+    assert values["used"] == "61"
+    assert values["free"] == "3"
+    assert values["size"] == "64"
+    assert float(values["buffered_ms"]) == 480.0
+    assert int(values["status_word"], 16) == 0xC002
+
+
+@pytest.mark.parametrize(
+    ("state", "fault", "level", "message"),
+    [
+        ("operation enabled", "", DiagnosticStatus.OK, "operation enabled"),
+        ("switch on disabled", "", DiagnosticStatus.WARN, "switch on disabled"),
+        ("fault", "over-current (0x2310)", DiagnosticStatus.ERROR, "over-current (0x2310)"),
+        ("fault reaction active", "", DiagnosticStatus.ERROR, "fault reaction active"),
+    ],
+)
+def test_diagnostics_of_a_drive(state, fault, level, message):
+    axis = axis_snapshot(
+        "a", 3, state=state, fault=fault, following_error_qc=-4, clock_drift_ppm=12.5
+    )
+    array = messages.diagnostics(snapshot_of(axis), "epos2_driver", "can0", Time())
+    drive = array.status[0]
+    assert (drive.level, drive.message) == (level, message)
+    values = {value.key: value.value for value in drive.values}
+    assert values["state"] == state
+    assert values["following error [qc]"] == "-4"
+    assert float(values["clock drift [ppm]"]) == 12.5
+
+
+@pytest.mark.parametrize(
+    ("values", "level"),
+    [
+        ({}, DiagnosticStatus.OK),
+        ({"dropped_frames": 3}, DiagnosticStatus.WARN),
+        ({"error_frames": 1}, DiagnosticStatus.WARN),
+        ({"refused_frames": 9}, DiagnosticStatus.OK),  # a full queue only delays
+        ({"state": "fault", "reason": "b: over-current"}, DiagnosticStatus.ERROR),
+    ],
+)
+def test_diagnostics_of_the_bus(values, level):
+    snapshot = snapshot_of(axis_snapshot("a", 1), **values)
+    bus = messages.diagnostics(snapshot, "epos2_driver", "can0", Time()).status[-1]
+    assert (bus.level, bus.name) == (level, "epos2_driver: bus")
+    assert {v.key: v.value for v in bus.values}["load [%]"] == "12.5"
+
+
+def test_main_refuses_arguments_it_does_not_know():
+    from epos2_ros.node.driver import main
+
+    with pytest.raises(SystemExit) as caught:
+        main(["--six-axes"])
+    assert caught.value.code == 2
