@@ -1,0 +1,99 @@
+"""What the tests share: a clean ROS environment, the examples, virtual CAN interfaces."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from socketcan_guest import Guest, Recorder, kernel_has_vcan
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--require-socketcan",
+        action="store_true",
+        help="let tests marked socketcan fail, not be skipped, where they can't run",
+    )
+    parser.addoption("--record-reports", type=Path, help="(for the guest) write each report here")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    record = config.getoption("--record-reports")
+    if record:
+        config.pluginmanager.register(Recorder(config, record))
+    elif not kernel_has_vcan():
+        required = config.getoption("--require-socketcan")
+        config.pluginmanager.register(Guest(config, required))
+
+
+@pytest.fixture(scope="session")
+def examples() -> Path:
+    """The folder of the example trajectories."""
+    return ROOT / "examples"
+
+
+@pytest.fixture
+def ros_domain_id() -> Iterator[int]:
+    """A ROS domain that no other test on this machine uses at the same time."""
+    for domain in range(1, 101):  # up to 101 the ports stay below Linux' ephemeral ones
+        path = Path(tempfile.gettempdir()) / f"epos2_ros_test_domain_{domain}"
+        with path.open("a") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                continue
+            yield domain
+            return
+    pytest.fail("all ROS domains from 1 to 100 are in use by other tests")
+
+
+@pytest.fixture
+def ros_env(ros_domain_id: int) -> dict[str, str]:
+    """Environment for a process of its own that uses ROS and the package under test.
+
+    The wheels' interpreter was re-executed with `LD_LIBRARY_PATH` and a mark that this is done;
+    a child of another prefix has to do that for itself.
+    """
+    env = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
+    if env.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None):
+        env.pop("LD_LIBRARY_PATH", None)
+    prefixes = [sys.prefix, *filter(None, [env.get("AMENT_PREFIX_PATH")])]
+    return env | {
+        "AMENT_PREFIX_PATH": os.pathsep.join(prefixes),
+        "PYTHONPATH": os.pathsep.join([str(ROOT), *filter(None, [env.get("PYTHONPATH")])]),
+        "PYTHONUNBUFFERED": "1",
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "ROS_DOMAIN_ID": str(ros_domain_id),
+    }
+
+
+@pytest.fixture
+def vcan() -> Iterator[str]:
+    """The name of a virtual CAN interface of this test's own (mark: socketcan)."""
+    name = f"vcan{os.getpid() % 10**6}"
+    subprocess.run(["ip", "link", "add", name, "type", "vcan"], check=True)
+    try:
+        subprocess.run(["ip", "link", "set", name, "up"], check=True)
+        yield name
+    finally:
+        subprocess.run(["ip", "link", "delete", name], check=True)
+
+
+@pytest.fixture
+def slow_vcan(vcan: str) -> str:
+    """`vcan` with a real adapter's transmit queue: ten frames, one sent each millisecond.
+
+    To the kernel a frame has 16 bytes: `limit` is ten of them, `rate` one in 1.024 ms. A frame
+    that finds the queue full is refused with ENOBUFS.
+    """
+    shape = ["rate", "125kbit", "burst", "16", "limit", "160"]
+    subprocess.run(["tc", "qdisc", "add", "dev", vcan, "root", "tbf", *shape], check=True)
+    return vcan
