@@ -66,7 +66,9 @@ class Guest:
     def pytest_runtest_protocol(self, item: pytest.Item) -> bool | None:
         if not item.get_closest_marker("socketcan"):
             return None
-        reports = self._reports.get(item.nodeid) or [self._not_run(item)]
+        reports = self._reports.get(item.nodeid, [])
+        if not reports or reports[-1].when != "teardown":
+            reports.append(self._not_completed(item))
         item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
         for report in reports:
             item.ihook.pytest_runtest_logreport(report=report)
@@ -95,12 +97,12 @@ class Guest:
                     report.longrepr = tuple(report.longrepr)
                 self._reports.setdefault(report.nodeid, []).append(report)
 
-    def _not_run(self, item: pytest.Item) -> pytest.TestReport:
-        """The report of a test that the guest gave none of."""
+    def _not_completed(self, item: pytest.Item) -> pytest.TestReport:
+        """The report of a test that the guest did not run, or not to its end."""
         if self._reports:
             outcome, reason = (
                 "failed",
-                f"the guest's pytest ended before this test:\n{self._output}",
+                f"the guest's pytest ended before this test did:\n{self._output}",
             )
         else:
             outcome = "failed" if self._required else "skipped"
