@@ -67,4 +67,5 @@ class DriverConfig:
     tolerance: float = 1.0  # [qc]
     start_tolerance: float = 0.01  # [rad or m]
     allow_partial_joints_goal: bool = False
+    state_rate: float = 50.0  # [Hz]
     simulation: SimulationConfig = field(default_factory=SimulationConfig)

@@ -86,7 +86,7 @@ class Epos2Node:
                 self._write(
                     epos2.INTERPOLATION_DATA_CONFIGURATION, value, epos2.BUFFER_CLEAR_SUBINDEX
                 )
-        except canopen.SdoError as error:
+        except (canopen.SdoAbortedError, canopen.SdoCommunicationError) as error:
             raise DriveError(f"{self.settings}: can't clear its buffer: {error}") from error
 
     # ------------------------------------------------------------------ steps

@@ -1,6 +1,7 @@
 """The CAN interface: python-can at the edge, frames with host times inside.
 
-One thread (python-can's notifier) brings frames in; any thread sends, under one lock. canopen's classes use the same way out, so that an SDO request never gets ahead of a SYNC.
+One thread (python-can's notifier) brings frames in; any thread sends, under one lock. canopen's
+classes use the same way out, so that an SDO request never gets ahead of a SYNC.
 """
 
 from __future__ import annotations
@@ -103,6 +104,11 @@ class Link(can.Listener):
     def stalled(self) -> bool:
         """Whether frames handed to the adapter no longer appear on the bus."""
         return self._transmitter.stalled
+
+    @property
+    def dropped(self) -> int:
+        """Frames handed to the adapter that never appeared on the bus."""
+        return self._transmitter.dropped
 
     @property
     def refused(self) -> int:

@@ -54,7 +54,8 @@ class Transmitter:
         self.echoes = echoes
         self.deadline_us = math.inf  # when `pump` is wanted next
         self.refused = 0  # times the adapter's queue was full
-        self.unconfirmed = 0  # frames whose echo never came
+        self.dropped = 0  # frames whose echo never came
+        self.stalled = False  # the adapter has stopped putting frames on the bus
         self._send = send
         self._us_per_bit = 1e6 / bitrate
         self._lanes: tuple[deque[Frame], ...] = tuple(deque() for _ in Lane)
@@ -70,17 +71,12 @@ class Transmitter:
         """Frames not yet handed to the adapter."""
         return sum(len(lane) for lane in self._lanes)
 
-    @property
-    def stalled(self) -> bool:
-        """Whether the adapter has stopped putting frames on the bus."""
-        return self.unconfirmed > 0
-
     def on_echo(self, frame: Frame) -> bool:
         """One of our frames came back from the bus; False if it is not one of those sent."""
         for position, (sent, _) in enumerate(self._in_flight):
             if sent == frame:
                 del self._in_flight[position]
-                self.unconfirmed = 0
+                self.stalled = False
                 return True
         return False
 
@@ -110,7 +106,7 @@ class Transmitter:
         for lane in self._lanes:
             lane.clear()
         self._in_flight.clear()
-        self.unconfirmed = 0
+        self.stalled = False
 
     def _duration_us(self, frame: Frame) -> float:
         return worst_case_bits(len(frame.data)) * self._us_per_bit
@@ -121,7 +117,8 @@ class Transmitter:
         while self._in_flight and self._in_flight[0][1] + allowance <= now_us:
             frame, due_us = self._in_flight.popleft()
             if self.echoes:
-                self.unconfirmed += 1
+                self.dropped += 1
+                self.stalled = True
             else:
                 through.append((frame, due_us))
         return through

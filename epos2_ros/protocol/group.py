@@ -129,6 +129,7 @@ class Group:
             settings.smoothness,
         )
         self._now_us = -math.inf
+        self._configured = False  # all drives are brought up; from now on they are watched
         self._request: Future[None] | None = None
         self._motion: Future[None] | None = None
         self._phase_us = -math.inf  # since when the group is in this phase
@@ -218,7 +219,11 @@ class Group:
     # ------------------------------------------------------------------ requests
 
     def start_clock(self, now_us: float, time_of_day: bytes) -> None:
-        """Begin with TIME (which sets every drive's motion clock to zero), SYNC and heartbeat."""
+        """Begin with TIME (which sets every drive's motion clock to zero), SYNC and heartbeat.
+
+        Call it when all drives are brought up; from now on they are watched.
+        """
+        self._configured = True
         self.outbox.append(Frame(epos2.TIME, time_of_day))
         self._sync_due_us = now_us + self.settings.sync_period_us
         self._heartbeat_due_us = now_us
@@ -293,6 +298,19 @@ class Group:
         axis.restarted = False
         axis.heard_us = now_us
         axis.report(statusword, now_us)
+
+    def bus_failed(self, reason: str) -> None:
+        """Nothing gets through any more: the drives stop by themselves, the group is in fault."""
+        if self.phase is not Phase.FAULT:
+            self._settle_fault(reason)
+
+    def lost_axes(self) -> list[int]:
+        """Axes that need to be brought up anew: restarted, or silent."""
+        return [
+            index
+            for index, axis in enumerate(self.axes)
+            if axis.restarted or self._silent(axis)
+        ]
 
     def buffer_cleared(self, index: int, error: str = "") -> None:
         """Answer to a request in `clearing`: access to the buffer is enabled and it is empty."""
@@ -716,7 +734,7 @@ class Group:
             )
 
     def _silent(self, axis: Axis) -> bool:
-        return self._now_us > axis.heard_us + SILENCE_TIMEOUT_US
+        return self._configured and self._now_us > axis.heard_us + SILENCE_TIMEOUT_US
 
     def _watch_silence(self) -> None:
         if self.phase not in (Phase.FAULT, Phase.HALTING, Phase.RESETTING):
@@ -737,6 +755,8 @@ class Group:
 
     def _trouble(self) -> None:
         """An axis complains: all stop, whatever the group is doing."""
+        if not self._configured:
+            return
         if self.phase in IN_MOTION:
             self._stop_all(self._complaints())
         elif self.phase not in (Phase.FAULT, Phase.HALTING, Phase.RESETTING):

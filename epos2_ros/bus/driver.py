@@ -1,0 +1,339 @@
+"""The driver at work: one bus, one group of axes, real time.
+
+Everything that has state is touched under one lock: frames come in on the notifier's thread,
+requests on the caller's, and a timer thread keeps the deadlines of the group and the
+transmitter. What blocks (SDO) runs on a worker; what may take long (checking a trajectory) on
+the caller's thread, outside the lock, so that feeding never waits for a callback.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import TimeoutError as FutureTimeoutError
+from dataclasses import dataclass
+
+from epos2_ros.bus.bringup import Epos2Node
+from epos2_ros.bus.link import Link
+from epos2_ros.bus.settings import axis_setup, drive_settings, group_settings
+from epos2_ros.bus.timestamps import now_us, wall_offset_us
+from epos2_ros.config import DriverConfig
+from epos2_ros.errors import ConfigurationError, DriveError, Epos2RosError, MotionAborted
+from epos2_ros.motion.trajectory import Trajectory
+from epos2_ros.motion.units import AxisUnits
+from epos2_ros.protocol.axis import Axis
+from epos2_ros.protocol.clock import time_of_day
+from epos2_ros.protocol.epos2 import BUFFER_SIZE
+from epos2_ros.protocol.frame import Frame
+from epos2_ros.protocol.group import IN_MOTION, Event, Group, Phase
+from epos2_ros.protocol.path import PathCommander
+
+REQUEST_TIMEOUT_S = 30.0  # the group's own limits are shorter; this one guards the wait
+IDLE_US = 100_000.0
+
+
+@dataclass(frozen=True)
+class AxisSnapshot:
+    """One axis as last reported. Joint units; NaN where the drive has not said yet."""
+
+    joint: str
+    node_id: int
+    state: str  # CiA 402 state
+    position: float
+    velocity: float
+    effort: float  # motor current [A]
+    stamp_us: float  # host time of the position sample
+    used: int
+    free: int
+    size: int
+    buffered_ms: float
+    status_word: int  # 0x20C4-01
+    fault: str
+    following_error_qc: int
+    clock_offset_us: float
+    clock_drift_ppm: float
+    executed_qc: int | None  # position demand at the last SYNC
+    records_sent: int
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """The whole group at one instant."""
+
+    axes: tuple[AxisSnapshot, ...]
+    state: str
+    reason: str
+    bus_load: float  # 0 … 1
+    sync_count: int
+    sync_time_source: str
+    dropped_frames: int
+    error_frames: int
+    refused_frames: int
+
+
+class Driver:
+    """One group of drives on one bus. All methods are thread-safe and bounded in time."""
+
+    def __init__(
+        self, config: DriverConfig, on_event: Callable[[Event], None] = lambda event: None
+    ) -> None:
+        self._config = config
+        self._on_event = on_event
+        self._lock = threading.RLock()
+        self._wake = threading.Event()
+        self._sleeping_until_us = -math.inf
+        self._closing = False
+        self._units = [AxisUnits.of(axis) for axis in config.axes]
+        self._simulation: Simulation | None = None
+        self._link: Link | None = None
+        self._nodes: list[Epos2Node] = []
+        self._group = Group(
+            [axis_setup(axis) for axis in config.axes], group_settings(config)
+        )
+        self._path = PathCommander(self._group, config, self._units)
+        self._worker = ThreadPoolExecutor(1, thread_name_prefix="sdo")
+        self._announcer = ThreadPoolExecutor(1, thread_name_prefix="events")
+        self._timer = threading.Thread(target=self._keep_time, name="reactor", daemon=True)
+
+    # ------------------------------------------------------------------ life
+
+    def configure(self) -> None:
+        """Open the bus, bring every drive up, start TIME, SYNC and heartbeat.
+
+        Raises ConfigurationError, BusError or DriveError; the bus is closed again then.
+        """
+        try:
+            self._configure()
+        except Epos2RosError:
+            self.close()
+            raise
+
+    def _configure(self) -> None:
+        config = self._config
+        unsupported = {axis.drive for axis in config.axes} - {"epos2"}
+        if unsupported:
+            raise ConfigurationError(f"drive family {unsupported.pop()!r} is not supported yet")
+        if config.simulate:
+            self._simulation = Simulation(config)
+        self._link = Link(
+            config.interface,
+            config.channel,
+            config.bitrate,
+            self._on_frame,
+            self._on_failure,
+            self._lock,
+        )
+        self._nodes = [
+            Epos2Node(self._link.network, drive_settings(axis, config)) for axis in config.axes
+        ]
+        for index in range(len(self._nodes)):
+            self._bring_up(index)
+        with self._lock:
+            self._group.start_clock(now_us(), time_of_day(time.time()))
+            self._step()
+        self._timer.start()
+
+    def _bring_up(self, index: int) -> None:
+        statusword = self._nodes[index].configure()
+        with self._lock:
+            self._group.reconfigured(index, statusword, now_us())
+
+    def close(self) -> None:
+        """Close the bus. Drives that are still enabled stop on the host's missing heartbeat."""
+        self._closing = True
+        self._wake.set()
+        if self._timer.is_alive():
+            self._timer.join()
+        self._worker.shutdown()
+        self._announcer.shutdown()
+        if self._link is not None:
+            self._link.close()
+        if self._simulation is not None:
+            self._simulation.close()
+
+    # ------------------------------------------------------------------ requests
+
+    def enable(self) -> None:
+        """Every axis to "operation enabled", holding. DriveError says which axis is where."""
+        self._wait(self._request(self._group.enable), "enable")
+
+    def disable(self) -> None:
+        """Stop on the path, then switch every axis off."""
+        if self._moving():
+            self.stop_on_path()
+        self._wait(self._request(self._group.disable), "disable")
+
+    def submit(self, trajectory: Trajectory) -> None:
+        """Run a trajectory, or stop on the path if it has no points. TrajectoryError: refused."""
+        if not len(trajectory.times_s):
+            self.stop_on_path()
+            return
+        prepared = self._path.prepare(trajectory)
+        start_us = None
+        if trajectory.stamp_s:
+            start_us = trajectory.stamp_s * 1e6 + wall_offset_us()
+        with self._lock:
+            self._path.submit(prepared, start_us, now_us())
+            self._step()
+
+    def stop_on_path(self) -> None:
+        """All axes slow down together along the commanded path; returns when they stand."""
+        with self._lock:
+            motion = self._path.stop(now_us())
+            self._step()
+        if motion is not None:
+            try:
+                self._wait(motion, "stop")
+            except MotionAborted as error:
+                raise DriveError(str(error)) from error
+
+    def halt(self) -> None:
+        """Each axis stops at once on its own ramp, off the path, and holds."""
+        self._wait(self._request(self._group.halt), "halt")
+
+    def quick_stop(self) -> None:
+        """Each axis stops on its quick stop ramp and leaves "operation enabled"."""
+        self._wait(self._request(self._group.quick_stop), "quick stop")
+
+    def reset_fault(self) -> None:
+        """Bring restarted or lost drives up again and reset every fault; axes stay off."""
+        with self._lock:
+            lost = self._group.lost_axes()
+        for index in lost:
+            self._bring_up(index)
+        if lost:
+            with self._lock:
+                self._group.start_clock(now_us(), time_of_day(time.time()))
+        self._wait(self._request(self._group.reset_fault), "reset fault")
+
+    def snapshot(self) -> Snapshot:
+        """Everything the topics show."""
+        with self._lock:
+            path_ms = self._group.path_ms(now_us())
+            moving = self._group.phase in IN_MOTION
+            axes = tuple(
+                self._axis_snapshot(axis, units, path_ms if moving else math.inf)
+                for axis, units in zip(self._group.axes, self._units, strict=True)
+            )
+            link = self._link
+            return Snapshot(
+                axes=axes,
+                state=self._group.phase.value,
+                reason=self._group.reason,
+                bus_load=link.load if link else 0.0,
+                sync_count=self._group.sync_count,
+                sync_time_source=link.time_source if link else "",
+                dropped_frames=link.dropped if link else 0,
+                error_frames=link.error_frames if link else 0,
+                refused_frames=link.refused if link else 0,
+            )
+
+    # ------------------------------------------------------------------ inside
+
+    def _axis_snapshot(
+        self, axis: Axis, units: AxisUnits, path_ms: float | None
+    ) -> AxisSnapshot:
+        known = axis.position_qc is not None
+        nan = math.nan
+        return AxisSnapshot(
+            joint=axis.joint,
+            node_id=axis.node_id,
+            state=axis.state.value,
+            position=float(units.from_qc(axis.position_qc)) if known else nan,
+            velocity=float(units.from_velocity_units(axis.velocity)) if known else nan,
+            effort=nan if axis.current_ma is None else axis.current_ma / 1000,
+            stamp_us=axis.sample_us,
+            used=axis.used,
+            free=axis.free,
+            size=BUFFER_SIZE,
+            buffered_ms=max(0.0, axis.account.ahead_ms(path_ms)),
+            status_word=axis.buffer_status,
+            fault=axis.trouble(),
+            following_error_qc=axis.following_error_qc,
+            clock_offset_us=nan if axis.clock_offset_us is None else axis.clock_offset_us,
+            clock_drift_ppm=nan if axis.clock_drift_ppm is None else axis.clock_drift_ppm,
+            executed_qc=axis.demand_qc,
+            records_sent=axis.account.sent,
+        )
+
+    def _moving(self) -> bool:
+        with self._lock:
+            return self._group.phase in IN_MOTION
+
+    def _request(self, ask: Callable[[], Future[None]]) -> Future[None]:
+        if self._link is None:
+            raise DriveError("the bus is not open: configure first")
+        with self._lock:
+            answer = ask()
+            self._step()
+        return answer
+
+    @staticmethod
+    def _wait(answer: Future[None], what: str) -> None:
+        try:
+            answer.result(REQUEST_TIMEOUT_S)
+        except FutureTimeoutError as error:
+            raise DriveError(f"{what}: no result within {REQUEST_TIMEOUT_S:g} s") from error
+
+    def _on_frame(self, frame: Frame, t_us: float, echo: bool) -> None:
+        self._group.receive(frame, t_us, echo)
+        self._step()
+
+    def _on_failure(self, text: str) -> None:
+        with self._lock:
+            self._group.bus_failed(text)
+            self._step()
+
+    def _step(self) -> None:
+        """With the lock held: let the group act, and carry out what it asks for."""
+        now = now_us()
+        self._path.advance(now)
+        self._group.advance(now)
+        outbox, link = self._group.outbox, self._link
+        while outbox and link is not None:
+            link.send(outbox.popleft())
+        while self._group.clearing:
+            self._worker.submit(self._clear_buffer, self._group.clearing.popleft())
+        while self._group.events:
+            self._announcer.submit(self._on_event, self._group.events.popleft())
+        if self._deadline_us() < self._sleeping_until_us:
+            self._wake.set()
+
+    def _deadline_us(self) -> float:
+        deadline = self._group.deadline_us
+        return min(deadline, self._link.deadline_us) if self._link else deadline
+
+    def _clear_buffer(self, index: int) -> None:
+        try:
+            self._nodes[index].clear_buffer()
+            error = ""
+        except DriveError as refusal:
+            error = str(refusal)
+        with self._lock:
+            self._group.buffer_cleared(index, error)
+            self._step()
+
+    def _keep_time(self) -> None:
+        while not self._closing:
+            with self._lock:
+                self._wake.clear()
+                if self._link is not None:
+                    self._link.pump()
+                self._step()
+                self._sleeping_until_us = min(self._deadline_us(), now_us() + IDLE_US)
+                pause_us = self._sleeping_until_us - now_us()
+            if pause_us > 0:
+                self._wake.wait(pause_us / 1e6)
+
+
+class Simulation:
+    """Simulated drives for every joint of the configuration, on the driver's own bus."""
+
+    def __init__(self, config: DriverConfig) -> None:
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """Stop them and write their log."""

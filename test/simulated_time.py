@@ -1,0 +1,142 @@
+"""The real group, transmitter and bring-up against simulated drives, in simulated time.
+
+No thread, no wall clock: `run` jumps from event to event, so minutes of motion take seconds and
+every run with the same arguments is the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+
+from epos2_ros.bus.bringup import Epos2Node
+from epos2_ros.bus.link import Network
+from epos2_ros.bus.settings import axis_setup, drive_settings, group_settings
+from epos2_ros.bus.transmitter import Transmitter
+from epos2_ros.config import AxisConfig, DriverConfig
+from epos2_ros.protocol.clock import time_of_day
+from epos2_ros.protocol.frame import Frame
+from epos2_ros.protocol.group import Event, Group
+from epos2_ros.protocol.path import PathCommander
+from epos2_ros.sim.can_bus import SimulatedBus
+from epos2_ros.sim.epos2 import Epos2
+
+SDO_PATIENCE_US = 20_000.0
+
+
+def axes(count: int = 6, **changes: object) -> tuple[AxisConfig, ...]:
+    """`count` axes as in the shared examples: 2000 counts, gear 100."""
+    settings: dict[str, object] = {"counts_per_turn": 2000, "gear_ratio": 100.0, **changes}
+    return tuple(
+        AxisConfig(f"joint_{n}", n, **settings)  # type: ignore[arg-type]
+        for n in range(1, count + 1)
+    )
+
+
+class Bench:
+    """Driver side and drives on one simulated bus."""
+
+    def __init__(
+        self,
+        config: DriverConfig | None = None,
+        drives: Sequence[Epos2] | None = None,
+        bring_up: bool = True,
+    ) -> None:
+        self.config = config or DriverConfig(axes=axes())
+        self.bus = SimulatedBus(bitrate=self.config.bitrate)
+        self.drives = list(drives or [Epos2(axis.node_id) for axis in self.config.axes])
+        for drive in self.drives:
+            self.bus.add(drive)
+        self.group = Group(
+            [axis_setup(axis) for axis in self.config.axes], group_settings(self.config)
+        )
+        self.path = PathCommander(self.group, self.config)
+        self.transmitter = Transmitter(self._hand_over, self.config.bitrate, echoes=True)
+        self.network = Network(self._send_service)
+        self.nodes = [
+            Epos2Node(self.network, drive_settings(axis, self.config))
+            for axis in self.config.axes
+        ]
+        self.frames: list[tuple[float, Frame, bool]] = []  # all that was on the bus: time, echo
+        self.events: list[Event] = []
+        self._in_service = False
+        if bring_up:
+            self.bring_up()
+
+    @property
+    def now_us(self) -> float:
+        return self.bus.now_us
+
+    # ------------------------------------------------------------------ the driver's way
+
+    def bring_up(self) -> None:
+        """As `Driver.configure`."""
+        for index, node in enumerate(self.nodes):
+            node.node.sdo.RESPONSE_TIMEOUT = 0.01  # a drive that is silent here stays silent
+            self.group.reconfigured(index, node.configure(), self.now_us)
+        self.group.start_clock(self.now_us, time_of_day(1_700_000_000))
+        self._flush()
+
+    def wait(self, answer: Future[None], seconds: float = 60.0) -> None:
+        """Run until the answer is there, and raise what it raises."""
+        self.run(seconds, answer.done)
+        answer.result(timeout=0)
+
+    def enable(self) -> None:
+        self.wait(self.group.enable(), 5.0)
+
+    def run(self, seconds: float, until: Callable[[], bool] = lambda: False) -> None:
+        """Simulated time goes on for `seconds`, or until the condition holds."""
+        end_us = self.now_us + seconds * 1e6
+        while self.now_us < end_us and not until():
+            self._step()
+            due = min(end_us, self.group.deadline_us, self.transmitter.deadline_us)
+            self.bus.run_until(max(due, self.now_us), self._on_frame)
+            self._step()
+
+    # ------------------------------------------------------------------ inside
+
+    def _step(self) -> None:
+        self.path.advance(self.now_us)
+        self.group.advance(self.now_us)
+        self._flush()
+        while self.group.clearing:
+            index = self.group.clearing.popleft()
+            self.nodes[index].clear_buffer()
+            self.group.buffer_cleared(index)
+
+    def _flush(self) -> None:
+        while self.group.outbox:
+            self.transmitter.push(self.group.outbox.popleft())
+        self.transmitter.pump(self.now_us)
+        self.events.extend(self.group.events)
+        self.group.events.clear()
+
+    def _hand_over(self, frame: Frame) -> bool:
+        self.bus.host_send(frame.can_id, frame.data)
+        return True
+
+    def _send_service(self, frame: Frame) -> None:
+        """canopen asks and waits: the answer has to arrive before this returns."""
+        self.transmitter.push(frame)
+        self.transmitter.pump(self.now_us)
+        end_us = self.now_us + SDO_PATIENCE_US
+        self._answered = False
+        while self.now_us < end_us and not self._answered:
+            due = min(end_us, self.group.deadline_us, self.transmitter.deadline_us)
+            self.bus.run_until(min(due, self.now_us + 500), self._on_frame)
+            self.group.advance(self.now_us)
+            self._flush()
+
+    def _on_frame(self, can_id: int, data: bytes, t_us: float, echo: bool) -> None:
+        frame = Frame(can_id, bytes(data))
+        self.frames.append((t_us, frame, echo))
+        if echo:
+            self.transmitter.on_echo(frame)
+        elif can_id & 0x780 == 0x580:
+            self._answered = True
+        self.group.receive(frame, t_us, echo)
+        self.group.advance(t_us)
+        self._flush()
+        if not echo:
+            self.network.notify(can_id, bytearray(data), t_us / 1e6)
