@@ -108,6 +108,9 @@ class SimulatedBus:
         self._end_us = math.inf  # of the frame being sent
         self._free_us = 0.0  # no frame can start before
         self._late: list[tuple[float, int, tuple[int, bytes, float, bool]]] = []  # to the host
+        self._agenda: list[tuple[float, int]] = []  # heap of next events, by place in `drives`
+        self._scheduled: list[float] = []  # the one of them that counts, per drive
+        self._talking: set[int] = set()  # drives with something to send
 
     def add(self, drive: Slave) -> None:
         """Connects a drive."""
@@ -136,28 +139,47 @@ class SimulatedBus:
         Calls `on_frame(can_id, data, t_us, is_echo)` for every frame the host sees, with
         `now_us` the time it sees it; if that returns `True`, returns at once. Gives `now_us`.
         """
+        self._agenda, self._scheduled = [], [math.inf] * len(self.drives)
+        for place in range(len(self.drives)):
+            self._look_at(place)
         while True:
-            start_us = self._start_frame()
-            event_us = min(
-                self._end_us,
-                start_us,
-                self._late[0][0] if self._late else math.inf,
-                min((drive.next_event_us for drive in self.drives), default=math.inf),
-            )
-            if event_us > t_us:
-                self.now_us = max(self.now_us, t_us)
-                return self.now_us
-            self.now_us = max(self.now_us, event_us)
-            for drive in self.drives:
-                if drive.next_event_us <= event_us:
-                    drive.advance(event_us)
-            if self._end_us <= event_us:
+            horizon_us = min(self._start_frame(), self._end_us, t_us)
+            if self._late:
+                horizon_us = min(horizon_us, self._late[0][0])
+            if self._run_drives(horizon_us):
+                continue  # one of them has something to say, and the bus is free
+            self.now_us = max(self.now_us, horizon_us)
+            if self._end_us <= horizon_us:
                 self._complete()
             stop = False
-            while self._late and self._late[0][0] <= event_us:
+            while self._late and self._late[0][0] <= horizon_us:
                 stop = bool(on_frame(*heapq.heappop(self._late)[2])) or stop
-            if stop:
+            if stop or horizon_us >= t_us:
                 return self.now_us
+
+    def _run_drives(self, horizon_us: float) -> bool:
+        """Advances the drives; stops early, with `True`, when one could start a frame."""
+        agenda, scheduled = self._agenda, self._scheduled
+        while agenda and agenda[0][0] <= horizon_us:
+            due_us, place = heapq.heappop(agenda)
+            if due_us == scheduled[place]:
+                self.now_us = max(self.now_us, due_us)
+                self.drives[place].advance(due_us)
+                self._look_at(place)
+                if self._talking and self._sending is None:
+                    return True
+        return False
+
+    def _look_at(self, place: int) -> None:
+        """Notes when a drive is next due and whether it has something to send."""
+        drive = self.drives[place]
+        next_us = drive.next_event_us
+        if next_us != self._scheduled[place]:
+            self._scheduled[place] = next_us
+            if next_us < math.inf:
+                heapq.heappush(self._agenda, (next_us, place))
+        if drive.outbox:
+            self._talking.add(place)
 
     def _start_frame(self) -> float:
         """Arbitration, if the bus is free; else when that will be (inf: nothing to send)."""
@@ -166,8 +188,11 @@ class SimulatedBus:
         first: tuple[int, bytes] | None = None
         if self._host:
             first, self._source, self._queue = self._host[0], HOST, self._host
-        for drive in self.drives:
-            if drive.outbox and (first is None or drive.outbox[0][0] < first[0]):
+        for place in sorted(self._talking):
+            drive = self.drives[place]
+            if not drive.outbox:
+                self._talking.discard(place)
+            elif first is None or drive.outbox[0][0] < first[0]:
                 first, self._source, self._queue = drive.outbox[0], drive.node_id, drive.outbox
         if first is None:
             return math.inf
@@ -191,11 +216,12 @@ class SimulatedBus:
         self.bits_by_function[can_id & 0x780] += bits
         if self.drop is not None and self.drop(can_id, data, source):
             return
-        for drive in self.drives:
+        for place, drive in enumerate(self.drives):
             if drive.node_id == source:
                 drive.transmitted(can_id, t_us)
-            else:
-                drive.receive(can_id, data, t_us)
+            elif not drive.receive(can_id, data, t_us):
+                continue
+            self._look_at(place)
         seen_us = t_us
         if self.host_delay_us is not None:
             seen_us += self.host_delay_us(can_id, data)

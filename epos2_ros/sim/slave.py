@@ -127,13 +127,14 @@ class Slave:
 
     # --- the world outside --------------------------------------------------------------
 
-    def receive(self, can_id: int, data: bytes, t_us: float, remote: bool = False) -> None:
-        """A frame was completed on the bus at `t_us`."""
-        if not (self.connected and self.powered):
-            return
+    def receive(self, can_id: int, data: bytes, t_us: float, remote: bool = False) -> bool:
+        """A frame was completed on the bus at `t_us`; `False` if it is none of this device's.
+
+        A frame may be handed in late (`t_us` before `now_us`): what it does counts from `t_us`.
+        """
         handler = self._handlers.get(can_id)
-        if handler is None:
-            return
+        if handler is None or not (self.connected and self.powered):
+            return False
         self.advance(t_us)
         self.received_us = t_us
         if not remote:
@@ -142,6 +143,7 @@ class Slave:
             self._remote_request(can_id)
         self._send_events()
         self._arm()
+        return True
 
     def transmitted(self, can_id: int, t_us: float) -> None:
         """A frame of `outbox` was completed on the bus: a SYNC producer hears its own SYNC."""
