@@ -1,0 +1,145 @@
+"""A new trajectory takes over from what the axes are doing, at one common instant."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from epos2_ros.errors import TrajectoryError
+from epos2_ros.motion.crossing import cross, resting_place
+from epos2_ros.motion.curve import Curve
+from epos2_ros.motion.limits import Limits, check
+from epos2_ros.motion.reference import Reference, State
+from epos2_ros.motion.stream import Stream, is_streamed
+from epos2_ros.motion.trajectory import Trajectory
+
+Array = NDArray[np.float64]
+
+# Curves this near to each other need no crossing from one to the other.
+_SAME_QC, _SAME_QC_S = 1e-3, 1e-2
+
+
+def join(
+    current: Reference,
+    trajectory: Trajectory,
+    limits: Limits,
+    *,
+    at_ms: int,
+    start_ms: int,
+    start_tolerance: float = np.inf,
+    allow_partial: bool = False,
+) -> Reference:
+    """`current` until the take-over, then onto `trajectory` and along it to rest.
+
+    The take-over is at path time `at_ms`, or at `start_ms` if that is later: the path time
+    of the trajectory's own zero. If that is earlier, the trajectory is joined where it
+    would be. If its first point has a time_from_start that is still to come, the way there
+    starts from the state the axes are in. Joints it does not name come to rest and hold.
+    Starting from rest, the first point may be `start_tolerance` [unit] away.
+
+    Raises TrajectoryError; `current` is then still valid.
+    """
+    axes = trajectory.axes(limits.joints, allow_partial)
+    at_ms = max(at_ms, start_ms)
+    at_s, start_s = at_ms / 1000, start_ms / 1000
+    state = current.state(at_ms)
+    if is_streamed(trajectory):
+        due_s = start_s + trajectory.duration_s
+        return current.followed_by(
+            _stream(current, trajectory.positions[0], axes, state, limits, at_ms, due_s), at_ms
+        )
+    if current.end_ms <= at_ms <= start_ms and trajectory.times_s[0] == 0:
+        _check_start(trajectory, axes, state, limits, start_tolerance)
+    curve = _placed(trajectory, axes, state, limits, at_s, start_s)
+    check(curve, limits, start_s)
+    return current.followed_by(cross(curve, state, limits, at_s, _same(current)), at_ms)
+
+
+def _placed(
+    trajectory: Trajectory,
+    axes: Sequence[int],
+    state: State,
+    limits: Limits,
+    at_s: float,
+    start_s: float,
+) -> Curve:
+    """The trajectory as a curve of all axes over path time."""
+    held = resting_place(state, limits)
+    still = np.zeros_like(held)
+    comes = trajectory.times_s[0] + start_s > at_s
+
+    def columns(values: Array, start: Array, others: Array) -> Array:
+        """Values of all axes at the points, with the present state before them if needed."""
+        full = np.tile(others, (comes + len(values), 1))
+        full[int(comes) :, axes] = values
+        if comes:
+            full[0, axes] = start[axes]
+        return full
+
+    times_s = trajectory.times_s + start_s
+    velocities = accelerations = None
+    if trajectory.velocities is not None:
+        velocities = columns(trajectory.velocities, state.velocity, still)
+        velocities[-1] = 0.0  # what is left of rounding
+        if trajectory.accelerations is not None:
+            accelerations = columns(trajectory.accelerations, state.acceleration, still)
+    start_velocity = None
+    if comes and velocities is None:
+        start_velocity = still.copy()
+        start_velocity[axes] = state.velocity[axes]
+    return Curve(
+        np.concatenate(([at_s], times_s)) if comes else times_s,
+        columns(trajectory.positions, state.position, held),
+        velocities,
+        accelerations,
+        start_velocity,
+    )
+
+
+def _stream(
+    current: Reference,
+    point: Array,
+    axes: Sequence[int],
+    state: State,
+    limits: Limits,
+    at_ms: int,
+    due_s: float,
+) -> Stream:
+    """On to a streamed point: a further step, or at first a crossing to it."""
+    at_s = at_ms / 1000
+    going_on = current.motions[-1]
+    if current.end_ms <= at_ms:
+        stream = Stream.after(Curve.resting(state.position))
+    elif isinstance(going_on, Stream) and (not current.starts_ms or at_ms >= current.starts_ms[-1]):
+        stream = going_on
+    else:
+        rest = resting_place(state, limits)
+        rest[axes] = point
+        check(Curve.resting(rest), limits)
+        way = cross(Curve.resting(rest), state, limits, at_s, _same(current), due_s - at_s)
+        return Stream.after(way)
+    target = stream.target.copy()
+    target[axes] = point
+    check(Curve.resting(target), limits)
+    return stream.to(target, limits, at_s, due_s)
+
+
+def _check_start(
+    trajectory: Trajectory, axes: Sequence[int], state: State, limits: Limits, tolerance: float
+) -> None:
+    away = np.abs(trajectory.positions[0] - state.position[axes])
+    worst = int(np.argmax(away))
+    if away[worst] > tolerance:
+        joint = axes[worst]
+        raise TrajectoryError(
+            f"joint '{limits.joints[joint]}', point 0: {trajectory.positions[0, worst]:.6g} "
+            f"{limits.units[joint]} is {away[worst]:.4g} {limits.units[joint]} away from where "
+            f"it is, allowed {tolerance:g} (constraints.start_tolerance)"
+        )
+
+
+def _same(current: Reference) -> tuple[Array, Array]:
+    scale = np.array([abs(units.qc_per_unit) for units in current.units])
+    return _SAME_QC / scale, _SAME_QC_S / scale

@@ -1,0 +1,128 @@
+"""Streamed points: a message every few milliseconds with one point a little ahead.
+
+Nobody says where the next point will be, so the motion has to end at rest at the last
+one, and yet may not stop at each. Every point adds its distance from the one before as a
+smooth step, spread over the time until it is due. Steps overlap, so their sum runs evenly
+along, like the points seen through a smoothing filter: it never overshoots a point or
+turns back unless the points do, the axes keep their proportions, and when the points end
+it comes to rest on the last.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from epos2_ros.errors import TrajectoryError
+from epos2_ros.motion.crossing import GRACE_S
+from epos2_ros.motion.curve import Curve, hermite
+from epos2_ros.motion.limits import Limits
+from epos2_ros.motion.reference import Motion
+from epos2_ros.motion.trajectory import Trajectory
+
+Array = NDArray[np.float64]
+
+HORIZON_S = 0.25  # a single point due within this time is one of a stream
+WINDOW_S = 0.1  # steps take at least this long, to overlap when the points are near ahead
+_SHARE = 0.999  # of the limits, for what lies between the milliseconds
+_STEP = ((np.zeros(1), np.ones(1)), (np.zeros(1),) * 2, (np.zeros(1),) * 2)
+
+
+def is_streamed(trajectory: Trajectory) -> bool:
+    """One point, due in a moment: a controller follows its operator (MoveIt Servo)."""
+    return len(trajectory.times_s) == 1 and trajectory.duration_s <= HORIZON_S
+
+
+@dataclass(frozen=True, eq=False)
+class Stream:
+    """`base`, which ends at rest, and the steps from there on to `target`."""
+
+    base: Motion
+    target: Array  # [axes], where it all ends
+    starts_s: Array  # [steps]
+    durations_s: Array  # [steps]
+    steps: Array  # [steps, axes]
+
+    @classmethod
+    def after(cls, base: Motion) -> Stream:
+        """No steps yet: where `base` goes."""
+        target = base.evaluate(np.array([base.end_s]))[0]
+        return cls(base, target, np.zeros(0), np.zeros(0), np.zeros((0, len(target))))
+
+    @property
+    def end_s(self) -> float:
+        return float(np.max(self.starts_s + self.durations_s, initial=self.base.end_s))
+
+    def evaluate(self, t_s: Array, derivative: int = 0) -> Array:
+        """Position or its 1st or 2nd derivative at path times t_s [m] → [m, axes]."""
+        value = self.base.evaluate(t_s, derivative)
+        u = (t_s[:, None] - self.starts_s) / self.durations_s
+        share = hermite(np.clip(u, 0, 1), self.durations_s, _STEP, derivative)
+        if derivative:
+            return value + np.where((u > 0) & (u < 1), share, 0.0) @ self.steps
+        rest = self.target - self.steps.sum(axis=0)
+        return value + (rest - self._base_end) + share @ self.steps
+
+    def to(self, target: Array, limits: Limits, at_s: float, due_s: float) -> Stream:
+        """The same until `at_s`, then on to `target` [axes], which is due at `due_s`.
+
+        Arrives later by up to GRACE_S if the accelerations would else be too high; raises
+        TrajectoryError if even that is not enough, or if the step asks for a speed over
+        the limit.
+        """
+        shortest_s = max(due_s - at_s, WINDOW_S)
+        step = target - self.target
+        speed = np.abs(step) / shortest_s
+        if (speed > limits.velocity).any():
+            joint = int(np.argmax(speed / limits.velocity))
+            raise TrajectoryError(
+                f"joint '{limits.joints[joint]}': a step of {step[joint]:.4g} "
+                f"{limits.units[joint]} in {shortest_s:.3f} s is faster than "
+                f"{limits.velocity[joint]:.6g} {limits.units[joint]}/s"
+            )
+        running = self._running(at_s)
+        for duration_s in _durations(shortest_s):
+            longer = replace(
+                running,
+                target=target,
+                starts_s=np.append(running.starts_s, at_s),
+                durations_s=np.append(running.durations_s, duration_s),
+                steps=np.vstack((running.steps, step)),
+            )
+            if longer._keeps(limits, at_s, duration_s):
+                return longer
+        raise TrajectoryError(
+            f"the streamed point is too far ahead to be reached within {duration_s:.1f} s"
+        )
+
+    def _running(self, at_s: float) -> Stream:
+        """What of it is still going on at `at_s`."""
+        on = self.starts_s + self.durations_s > at_s
+        base = self.base
+        if base.end_s <= at_s:
+            base = Curve.resting(self._base_end)
+        return replace(
+            self,
+            base=base,
+            starts_s=self.starts_s[on],
+            durations_s=self.durations_s[on],
+            steps=self.steps[on],
+        )
+
+    def _keeps(self, limits: Limits, at_s: float, duration_s: float) -> bool:
+        """Whether the limits are kept at every millisecond, which is all a drive looks at."""
+        t_s = at_s + np.arange(round(duration_s * 1000)) / 1000
+        return bool(
+            (np.abs(self.evaluate(t_s, 1)) <= limits.velocity * _SHARE).all()
+            and (np.abs(self.evaluate(t_s, 2)) <= limits.acceleration).all()
+        )
+
+    @property
+    def _base_end(self) -> Array:
+        return self.base.evaluate(np.array([self.base.end_s]))[0]
+
+
+def _durations(shortest_s: float) -> Array:
+    return np.geomspace(shortest_s, shortest_s + GRACE_S, 16)

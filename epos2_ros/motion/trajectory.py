@@ -1,0 +1,197 @@
+"""A JointTrajectory as arrays, and what is wrong with it.
+
+Everything here can be said without knowing where the robot is: joints, numbers, times.
+Every refusal is one line that names the joint, the point (counted from 0) and the rule.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import chain
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from epos2_ros.errors import TrajectoryError
+
+REST_VELOCITY = 1e-6  # a last point slower than this is at rest [unit/s]
+_FIELDS = ("positions", "velocities", "accelerations")
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Points of a trajectory for some joints, checked; no points mean "stop on the path"."""
+
+    joint_names: tuple[str, ...]
+    times_s: NDArray[np.float64]  # [points], time_from_start, increasing
+    positions: NDArray[np.float64]  # [points, joints] [unit]
+    velocities: NDArray[np.float64] | None = None  # [points, joints] [unit/s]
+    accelerations: NDArray[np.float64] | None = None  # [points, joints] [unit/s²]
+    stamp_s: float | None = None  # header.stamp; None: as soon as possible
+
+    def __post_init__(self) -> None:
+        if len(self.times_s):
+            self._check_joint_names()
+            self._check_values()
+            self._check_times()
+            self._check_rest()
+
+    @classmethod
+    def from_dict(cls, message: Mapping[str, Any]) -> Trajectory:
+        """From the mapping that the YAML of `ros2 topic pub` and `echo` holds."""
+        try:
+            points = message["points"] or ()
+            return cls._from_points(
+                tuple(message.get("joint_names") or ()),
+                [_duration(point["time_from_start"]) for point in points],
+                {field: [point.get(field) or () for point in points] for field in _FIELDS},
+                _duration((message.get("header") or {}).get("stamp") or {}),
+            )
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
+            raise TrajectoryError(
+                f"not a JointTrajectory (joint_names, points with positions and "
+                f"time_from_start): {type(error).__name__} {error}"
+            ) from error
+
+    @classmethod
+    def from_message(cls, message: Any) -> Trajectory:
+        """From a trajectory_msgs/JointTrajectory (or anything with its attributes)."""
+        points, stamp = message.points, message.header.stamp
+        return cls._from_points(
+            tuple(message.joint_names),
+            [p.time_from_start.sec + p.time_from_start.nanosec * 1e-9 for p in points],
+            {field: [getattr(point, field) for point in points] for field in _FIELDS},
+            stamp.sec + stamp.nanosec * 1e-9,
+        )
+
+    @classmethod
+    def _from_points(
+        cls,
+        joint_names: tuple[str, ...],
+        times_s: Sequence[float],
+        fields: Mapping[str, Sequence[Sequence[float]]],
+        stamp_s: float,
+    ) -> Trajectory:
+        arrays = {name: _matrix(name, rows, joint_names) for name, rows in fields.items()}
+        if times_s and arrays["positions"] is None:
+            raise TrajectoryError("point 0 has no positions")
+        if arrays["accelerations"] is not None and arrays["velocities"] is None:
+            raise TrajectoryError("point 0 has accelerations but no velocities")
+        positions = arrays.pop("positions")
+        return cls(
+            joint_names,
+            np.array(times_s, dtype=np.float64),
+            np.zeros((0, len(joint_names))) if positions is None else positions,
+            stamp_s=stamp_s or None,
+            **arrays,
+        )
+
+    @property
+    def duration_s(self) -> float:
+        """time_from_start of the last point."""
+        return float(self.times_s[-1]) if len(self.times_s) else 0.0
+
+    def axes(self, joints: Sequence[str], allow_partial: bool = False) -> list[int]:
+        """Place of each of the trajectory's joints in `joints`, the driver's order.
+
+        Raises TrajectoryError (INVALID_JOINTS) for unknown joints, and for missing ones
+        unless `allow_partial`.
+        """
+        place = {joint: i for i, joint in enumerate(joints)}
+        for name in self.joint_names:
+            if name not in place:
+                raise TrajectoryError(
+                    f"joint '{name}' is unknown; this driver has {', '.join(joints)}",
+                    TrajectoryError.INVALID_JOINTS,
+                )
+        missing = [joint for joint in joints if joint not in self.joint_names]
+        if missing and not allow_partial:
+            raise TrajectoryError(
+                f"joint {', '.join(missing)} missing; allow_partial_joints_goal is false",
+                TrajectoryError.INVALID_JOINTS,
+            )
+        return [place[name] for name in self.joint_names]
+
+    def _check_joint_names(self) -> None:
+        if not self.joint_names:
+            raise TrajectoryError("joint_names is empty", TrajectoryError.INVALID_JOINTS)
+        for i, name in enumerate(self.joint_names):
+            if name in self.joint_names[:i]:
+                raise TrajectoryError(
+                    f"joint '{name}' is named twice in joint_names",
+                    TrajectoryError.INVALID_JOINTS,
+                )
+
+    def _check_values(self) -> None:
+        for name, values in self._given():
+            if values.shape != (len(self.times_s), len(self.joint_names)):
+                raise TrajectoryError(
+                    f"{name} have shape {values.shape}, "
+                    f"expected {len(self.times_s)} points × {len(self.joint_names)} joints"
+                )
+            bad = ~np.isfinite(values)
+            if bad.any():
+                point, joint = np.argwhere(bad)[0]
+                raise TrajectoryError(
+                    f"joint '{self.joint_names[joint]}', point {point}: "
+                    f"{name} holds {values[point, joint]}, must be finite"
+                )
+
+    def _check_times(self) -> None:
+        times = self.times_s
+        if not np.isfinite(times).all():
+            raise TrajectoryError(
+                f"point {np.argmin(np.isfinite(times))}: time_from_start must be finite"
+            )
+        if times[0] < 0:
+            raise TrajectoryError(f"point 0: time_from_start {times[0]:g} s is negative")
+        steps = np.diff(times)
+        if len(steps) and steps.min() <= 0:
+            point = int(np.argmax(steps <= 0)) + 1
+            raise TrajectoryError(
+                f"point {point}: time_from_start {times[point]:g} s is not after that of "
+                f"point {point - 1} ({times[point - 1]:g} s)"
+            )
+
+    def _check_rest(self) -> None:
+        if self.velocities is None:
+            return
+        last = self.velocities[-1]
+        joint = int(np.abs(last).argmax())
+        if abs(last[joint]) > REST_VELOCITY:
+            raise TrajectoryError(
+                f"joint '{self.joint_names[joint]}', point {len(self.times_s) - 1}: the last "
+                f"point still moves (velocity {last[joint]:g}, must be 0)"
+            )
+
+    def _given(self) -> list[tuple[str, NDArray[np.float64]]]:
+        values = (self.positions, self.velocities, self.accelerations)
+        return [(name, v) for name, v in zip(_FIELDS, values, strict=True) if v is not None]
+
+
+def _duration(time: Mapping[str, Any]) -> float:
+    return int(time.get("sec", 0)) + int(time.get("nanosec", 0)) * 1e-9
+
+
+def _matrix(
+    name: str, rows: Sequence[Sequence[float]], joint_names: Sequence[str]
+) -> NDArray[np.float64] | None:
+    """Rows of a field as [points, joints]; None when no point has it."""
+    lengths = np.fromiter(map(len, rows), dtype=np.int64, count=len(rows))
+    if not lengths.any():
+        return None
+    wrong = lengths != len(joint_names)
+    if wrong.any():
+        point = int(np.argmax(wrong))
+        raise TrajectoryError(
+            f"point {point} has no {name}, others have: give them for all points or none"
+            if lengths[point] == 0
+            else f"point {point} has {lengths[point]} {name} for {len(joint_names)} joints"
+        )
+    try:
+        flat = np.fromiter(chain.from_iterable(rows), dtype=np.float64, count=int(lengths.sum()))
+    except (TypeError, ValueError) as error:
+        raise TrajectoryError(f"{name} hold something that is not a number: {error}") from error
+    return flat.reshape(len(rows), len(joint_names))
