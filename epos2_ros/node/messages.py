@@ -55,6 +55,7 @@ def _buffer_of(axis: AxisSnapshot, channel: str) -> DiagnosticStatus:
         hardware_id=f"{channel}/{axis.node_id}",
         values=_values(
             {
+                "records_sent": str(axis.records_sent),
                 "used": str(axis.used),
                 "free": str(axis.free),
                 "size": str(axis.size),
