@@ -141,6 +141,7 @@ class Slave:
             handler(data)
         else:
             self._remote_request(can_id)
+        self._dirty = True  # what a frame changes is looked at after the inhibit time, too
         self._send_events()
         self._arm()
         return True

@@ -1,0 +1,149 @@
+"""The program `simulator`: simulated EPOS2 drives on any python-can bus, until told to stop."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+import threading
+from typing import NoReturn
+
+import can
+
+from epos2_ros.errors import ConfigurationError, Epos2RosError
+
+from .realtime import RealtimeSimulator, build_drives, save_log
+from .slcan import SlcanAdapter
+
+BITRATES = (10_000, 20_000, 50_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)  # CiA 301
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        raise ConfigurationError(message)
+
+
+def node_list(text: str) -> list[int]:
+    """Node ids from "1-6" or "1,2,7"; raises `ArgumentTypeError` with what is allowed."""
+    nodes: list[int] = []
+    for part in text.split(","):
+        first, dash, last = part.strip().partition("-")
+        if not first.isdecimal() or (dash and not last.isdecimal()):
+            raise argparse.ArgumentTypeError(f"{text!r}: node ids like 1-6 or 1,2,7")
+        nodes += range(int(first), int(last or first) + 1)
+    if not nodes or min(nodes) < 1 or max(nodes) > 127:
+        raise argparse.ArgumentTypeError(f"{text!r}: node ids are 1 … 127")
+    if len(set(nodes)) < len(nodes):
+        raise argparse.ArgumentTypeError(f"{text!r}: a node id appears twice")
+    return nodes
+
+
+def _positive(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r}: must be a positive whole number")
+    return int(text)
+
+
+def _not_negative(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0 <= value < 1e6:
+        raise argparse.ArgumentTypeError(f"{text!r}: must be a number from 0 on")
+    return value
+
+
+def _arguments(argv: list[str]) -> argparse.Namespace:
+    parser = _Parser(prog="simulator", description=__doc__)
+    parser.add_argument("--interface", default="socketcan", help="python-can interface")
+    parser.add_argument("--channel", help="its channel, e.g. vcan0")
+    parser.add_argument(
+        "--slcan", action="store_true", help="be an slcan adapter on a pseudo-terminal instead"
+    )
+    parser.add_argument(
+        "--nodes", type=node_list, default=node_list("1-6"), help="node ids, e.g. 1-6 or 1,2,7"
+    )
+    parser.add_argument("--bitrate", type=int, choices=BITRATES, default=1_000_000)
+    parser.add_argument(
+        "--counts-per-turn", type=_positive, default=2000, help="of the encoders [qc]"
+    )
+    parser.add_argument(
+        "--drift-ppm", type=_not_negative, default=0.0, help="clocks drift by up to ± this"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of everything random")
+    parser.add_argument("--log", metavar="FILE.npz", help="write what was executed here at the end")
+    arguments = parser.parse_args(_without_ros_arguments(argv))
+    if not arguments.slcan and arguments.channel is None:
+        parser.error("--channel is needed (or --slcan)")
+    if arguments.log is not None and not arguments.log.endswith(".npz"):
+        parser.error(f"--log {arguments.log!r}: must end in .npz")
+    return arguments
+
+
+def _without_ros_arguments(argv: list[str]) -> list[str]:
+    """A launch file adds `--ros-args … [--]`, which means nothing to a program without ROS."""
+    own: list[str] = []
+    ros = False
+    for argument in argv:
+        if argument == "--ros-args":
+            ros = True
+        elif ros and argument == "--":
+            ros = False
+        elif not ros:
+            own.append(argument)
+    return own
+
+
+def _open_bus(arguments: argparse.Namespace) -> can.BusABC:
+    """Raises `ConfigurationError`."""
+    if arguments.slcan:
+        return SlcanAdapter()
+    try:
+        return can.Bus(
+            interface=arguments.interface,
+            channel=arguments.channel,
+            bitrate=arguments.bitrate,
+        )
+    except (can.CanError, OSError, ValueError, ImportError) as error:
+        raise ConfigurationError(
+            f"can't open CAN interface {arguments.interface} {arguments.channel}: {error}"
+        ) from error
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Runs until SIGINT or SIGTERM. Returns 0, or 2 after one line about wrong arguments."""
+    try:
+        arguments = _arguments(sys.argv[1:] if argv is None else argv)
+        bus = _open_bus(arguments)
+    except Epos2RosError as error:
+        print(f"simulator: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    drives = build_drives(
+        arguments.nodes,
+        counts_per_turn=arguments.counts_per_turn,
+        drift_ppm=arguments.drift_ppm,
+        seed=arguments.seed,
+        bitrate=arguments.bitrate,
+        record=arguments.log is not None,
+    )
+    simulator = RealtimeSimulator(bus, drives)
+    simulator.start()
+    nodes = ", ".join(str(node) for node in arguments.nodes)
+    where = f"{arguments.interface} {arguments.channel}"
+    if isinstance(bus, SlcanAdapter):
+        where = f"the slcan adapter {bus.path}"
+    print(f"simulated EPOS2 drives, nodes {nodes}, on {where}", flush=True)
+    stop.wait()
+    simulator.stop()
+    bus.shutdown()
+    if arguments.log is not None:
+        save_log(arguments.log, drives)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

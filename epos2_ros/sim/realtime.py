@@ -1,0 +1,151 @@
+"""Simulated drives on a python-can bus, in real time.
+
+One thread waits for frames and for whatever the drives are to do next. The drives' time is
+CLOCK_MONOTONIC in µs; a frame counts from when the interface stamped it, so a late thread
+moves no SYNC.
+"""
+
+from __future__ import annotations
+
+import random
+import threading
+import time
+from collections import deque
+from collections.abc import Sequence
+
+import can
+
+from .epos2 import Epos2
+from .recorder import save
+from .slave import Slave
+
+CYCLE_US = 1000.0  # control cycles of all drives that are due within this are run together
+TRANSMIT_QUEUE = 256  # frames; the oldest are lost when the bus doesn't take them
+_LONGEST_WAIT_S = 0.1  # for a frame, so that `stop` is noticed
+_OLDEST_STAMP_US = 1e6  # an older time stamp is of another clock
+
+
+def now_us() -> float:
+    """The drives' time: CLOCK_MONOTONIC [µs]."""
+    return time.monotonic_ns() / 1000
+
+
+def build_drives(
+    node_ids: Sequence[int],
+    *,
+    counts_per_turn: int | Sequence[int] = 2000,
+    drift_ppm: float = 0.0,
+    seed: int = 0,
+    bitrate: int = 1_000_000,
+    record: bool = False,
+) -> list[Epos2]:
+    """Drives whose clocks start anywhere and run at 1 + U(−drift_ppm, drift_ppm)·1e-6."""
+    rng = random.Random(seed)
+    if isinstance(counts_per_turn, int):
+        counts_per_turn = [counts_per_turn] * len(node_ids)
+    return [
+        Epos2(
+            node_id,
+            counts_per_turn=counts,
+            drift_ppm=rng.uniform(-drift_ppm, drift_ppm),
+            offset_us=rng.uniform(0.0, 2.0**32),
+            bitrate=bitrate,
+            seed=seed + node_id,
+            record=record,
+            serial=node_id,
+            t_us=now_us(),
+        )
+        for node_id, counts in zip(node_ids, counts_per_turn, strict=True)
+    ]
+
+
+def save_log(path: str, drives: Sequence[Epos2]) -> None:
+    """Writes what recording drives have executed as `node_<id>_<column>` into an .npz file."""
+    save(path, [(drive.node_id, drive.recorder) for drive in drives if drive.recorder])
+
+
+class RealtimeSimulator:
+    """Runs drives on `bus` from `start` to `stop`; the bus stays the caller's.
+
+    Whoever touches a drive meanwhile (to let it fail, say) holds `lock`.
+    `error` tells why the bus is not usable at the moment, if so.
+    """
+
+    def __init__(self, bus: can.BusABC, drives: Sequence[Slave]) -> None:
+        self.lock = threading.Lock()
+        self.error: str | None = None
+        self._bus = bus
+        self._drives = list(drives)
+        self._queue: deque[tuple[Slave, int, bytes]] = deque(maxlen=TRANSMIT_QUEUE)
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="simulated drives", daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Ends the thread; the drives fall silent."""
+        self._stopping.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        last_us = -CYCLE_US
+        while not self._stopping.is_set():
+            with self.lock:
+                now = now_us()
+                due_us = min(drive.next_event_us for drive in self._drives)
+                if max(due_us, last_us + CYCLE_US) <= now:
+                    last_us = now
+                    for drive in self._drives:
+                        drive.advance(now)
+                sent = self._flush()
+                due_us = min(drive.next_event_us for drive in self._drives)
+            wait_s = (max(due_us, last_us + CYCLE_US) - now_us()) / 1e6
+            if not sent:
+                wait_s = min(wait_s, CYCLE_US / 1e6)  # then try again
+            self._wait(max(0.0, min(wait_s, _LONGEST_WAIT_S)))
+
+    def _wait(self, seconds: float) -> None:
+        """Takes the next frame, if one comes in time."""
+        try:
+            message = self._bus.recv(seconds)
+            self.error = None
+        except can.CanError as error:
+            self.error = str(error)
+            self._stopping.wait(_LONGEST_WAIT_S)  # the interface is down: look again later
+            return
+        if message is None or message.is_extended_id or message.is_error_frame or message.is_fd:
+            return
+        with self.lock:
+            t_us = self._time_of(message)
+            for drive in self._drives:
+                drive.receive(
+                    message.arbitration_id, bytes(message.data), t_us, message.is_remote_frame
+                )
+
+    @staticmethod
+    def _time_of(message: can.Message) -> float:
+        """When the frame was on the bus; now, if its stamp is not of the system's wall clock."""
+        now = now_us()
+        stamped = now + (message.timestamp - time.time()) * 1e6
+        return stamped if now - _OLDEST_STAMP_US < stamped < now else now
+
+    def _flush(self) -> bool:
+        """Sends what the drives have to say; `False` if the interface didn't take all of it."""
+        for drive in self._drives:
+            while drive.outbox:
+                self._queue.append((drive, *drive.outbox.popleft()))
+        while self._queue:
+            sender, can_id, data = self._queue[0]
+            message = can.Message(arbitration_id=can_id, data=data, is_extended_id=False)
+            try:
+                self._bus.send(message)
+            except can.CanError:
+                return False  # kept, and tried again: a full transmit queue, a bus that is down
+            self._queue.popleft()
+            now = now_us()
+            sender.transmitted(can_id, now)
+            for drive in self._drives:  # a bus doesn't give us back what we send ourselves
+                if drive is not sender:
+                    drive.receive(can_id, data, now)
+        return True
