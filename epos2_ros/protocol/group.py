@@ -42,6 +42,7 @@ MAX_RECORDS_AHEAD = epos2.BUFFER_SIZE - 4
 ARM_LEAD_US = 20_000.0  # from "enable ip mode" in the RPDOs to the SYNC that makes it count
 REPLY_TIMEOUT_US = 1_000_000.0  # for one step of a drive that has been told something
 RESEND_US = 200_000.0  # a controlword without effect so long is sent again
+SYNC_ANSWER_US = 500.0  # per axis, for its two synchronous TPDOs, before the next SYNC
 STOP_TIMEOUT_US = 5_000_000.0  # for an axis to come to rest after a halt or quick stop
 ACTIVE_TIMEOUT_US = 200_000.0  # after the start SYNC, for "ip mode active"
 END_TIMEOUT_MS = 500.0  # after the end record, for "ip mode inactive"
@@ -396,12 +397,10 @@ class Group:
         """Between arming and the start no SYNC but the start's; just before it none at all."""
         if self._sync_on_its_way or self.phase is Phase.ARMING:
             return False
+        if self.phase is not Phase.PRIMING:
+            return True
         planned = self._planned_start_us
-        return (
-            planned is None
-            or self.phase is not Phase.PRIMING
-            or self._now_us < planned - 2 * ARM_LEAD_US
-        )
+        return planned is not None and self._now_us < planned - 2 * ARM_LEAD_US
 
     def _send_sync(self) -> None:
         self._sync_on_its_way = True
@@ -429,8 +428,9 @@ class Group:
         if self.phase is Phase.PRIMING and self._planned_start_us is not None:
             arm_us = self._planned_start_us - ARM_LEAD_US
             return arm_us if arm_us > self._now_us else self._now_us + RESEND_US
-        if self.phase is Phase.ARMING and self._planned_start_us is not None:
-            return max(self._planned_start_us, self._now_us)
+        if self.phase is Phase.ARMING:
+            due = self._start_due_us()
+            return due if due > self._now_us else self._now_us + RESEND_US
         return self._now_us + RESEND_US / 4
 
     # ------------------------------------------------------------------ phases
@@ -563,10 +563,17 @@ class Group:
                 self._stop_all(
                     f"the start controlword was not seen on the bus for {len(self._armed)} axes"
                 )
-        elif self._planned_start_us is None or self._now_us >= self._planned_start_us:
+        elif self._now_us >= self._start_due_us():
             self._enter(Phase.STARTING)
             self._sync_due_us = self._now_us
             self._send_sync()
+
+    def _start_due_us(self) -> float:
+        """When the start SYNC goes out: not before the answers to the last SYNC are through."""
+        due = self._planned_start_us or -math.inf
+        if self._last_sync_us is None:
+            return due
+        return max(due, self._last_sync_us + SYNC_ANSWER_US * (len(self.axes) + 1))
 
     def _confirm_start(self) -> None:
         if self.start_us is None:
