@@ -44,6 +44,7 @@ setup(
             "pytest-timeout",
             "ruckig",
             "ruff",
+            "setuptools>=70.1",  # builds wheels by itself
             "types-PyYAML",
         ],
     },

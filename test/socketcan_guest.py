@@ -12,6 +12,7 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -59,7 +60,7 @@ class Guest:
     def pytest_runtestloop(self, session: pytest.Session) -> None:
         items = [item for item in session.items if item.get_closest_marker("socketcan")]
         if items and not session.config.option.collectonly:
-            terminal = self._config.pluginmanager.get_plugin("terminalreporter")
+            terminal: Any = self._config.pluginmanager.get_plugin("terminalreporter")
             terminal.write_line(f"{len(items)} SocketCAN tests run under user-mode Linux first")
             self._run([item.nodeid for item in items])
 
@@ -99,19 +100,18 @@ class Guest:
 
     def _not_completed(self, item: pytest.Item) -> pytest.TestReport:
         """The report of a test that the guest did not run, or not to its end."""
-        if self._reports:
-            outcome, reason = (
-                "failed",
-                f"the guest's pytest ended before this test did:\n{self._output}",
-            )
-        else:
-            outcome = "failed" if self._required else "skipped"
-            reason = f"no vcan in this kernel, and no guest with it: {self._output}"
+        where = (str(item.path), item.location[1] or 0)
+        skipped = not (self._required or self._reports)
+        problem = (
+            "the guest's pytest ended before this test did:\n"
+            if self._reports
+            else "no vcan in this kernel, and no guest with it: "
+        ) + self._output
         return pytest.TestReport(
             item.nodeid,
             item.location,
             keywords={},
-            outcome=outcome,
-            longrepr=(*item.location[:2], reason) if outcome == "skipped" else reason,
+            outcome="skipped" if skipped else "failed",
+            longrepr=(*where, problem) if skipped else problem,
             when="setup",
         )
