@@ -57,14 +57,10 @@ class Crossing:
         i = (t >= self.times_s[1]).astype(np.intp) + (t >= self.times_s[2])
         start, end = self._at(self.times_s, i)
         h = np.maximum(end - start, 1e-9)  # empty pieces are never the one asked for
-        ends = tuple(
-            self._at(v, i) for v in (self.positions, self.velocities, self.accelerations)
-        )
+        ends = tuple(self._at(v, i) for v in (self.positions, self.velocities, self.accelerations))
         own = hermite(np.clip((t - start) / h, 0, 1), h, ends, derivative)
         crossing = t < self.times_s[-1]
-        value[rows] = np.where(
-            crossing, own + np.where(self.fades, value[rows], 0.0), value[rows]
-        )
+        value[rows] = np.where(crossing, own + np.where(self.fades, value[rows], 0.0), value[rows])
         return value
 
     @staticmethod
@@ -74,7 +70,8 @@ class Crossing:
 
 def resting_place(state: State, limits: Limits) -> Array:
     """Where the axes stand when they slow down at once, each on its own [axes]."""
-    _, way = _ramp(state.velocity, state.acceleration, np.zeros_like(state.velocity), limits.agility)
+    still = np.zeros_like(state.velocity)
+    _, way = _ramp(state.velocity, state.acceleration, still, limits.agility)
     return state.position + way
 
 
@@ -209,19 +206,21 @@ def _catching_up(
         np.stack([a0, none, none, a1]),
         np.zeros(len(w), dtype=bool),
     )
-    inside = _stays_inside(result, limits, at_s, float(t.max()))
+    inside = _stays_inside(result, limits, at_s, float(np.max(t)))
     result.times_s[-1, ~(fits.any(axis=0) & inside)] = np.inf
     return result
 
 
-def _stays_inside(crossing: Crossing, limits: Limits, at_s: float, duration_s: float) -> Array:
+def _stays_inside(
+    crossing: Crossing, limits: Limits, at_s: float, duration_s: float
+) -> NDArray[np.bool_]:
     """Whether the way keeps the position limits, or does so as well as its ends do [axes]."""
     way = crossing.evaluate(at_s + np.arange(int(duration_s * 1000) + 1) / 1000)
     ends = crossing.positions[[0, -1]]
     slack = 1e-6 * (limits.upper - limits.lower)
     low = np.minimum(limits.lower, ends.min(axis=0)) - slack
     high = np.maximum(limits.upper, ends.max(axis=0)) + slack
-    return ((way >= low) & (way <= high)).all(axis=0)
+    return np.all((way >= low) & (way <= high), axis=0)
 
 
 def _allowed(state: State, limits: Limits) -> tuple[Array, Array]:

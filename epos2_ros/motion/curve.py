@@ -123,22 +123,23 @@ class Curve:
         The pieces are `first` … `last` − 1. The curve stays between the smallest and the
         largest of a piece's control points.
         """
-        i = np.arange(first, last)
-        h = np.diff(self.times_s[first : last + 1])
-        (p0, p1), *slopes = (
-            (np.ascontiguousarray(a.T), np.ascontiguousarray(b.T)) for a, b in self._ends(i)
-        )
-        points = np.empty((self.degree + 1, *p0.shape))
-        points[0], points[-1] = p0, p1
-        v0, v1 = slopes[0]
+        part = slice(first, last + 1)
+        h = np.diff(self.times_s[part])
+        if self.velocities is None:
+            v = self._slopes(np.arange(first, last + 1)).T
+        else:
+            v = self.velocities[part].T
+        p, v = np.ascontiguousarray(self.positions[part].T), np.ascontiguousarray(v)
+        points = np.empty((self.degree + 1, len(p), len(h)))
+        points[0], points[-1] = p[:, :-1], p[:, 1:]
         step = h / self.degree
-        points[1] = p0 + step * v0
-        points[-2] = p1 - step * v1
-        if self.degree == 5:
-            a0, a1 = slopes[1]
+        points[1] = points[0] + step * v[:, :-1]
+        points[-2] = points[-1] - step * v[:, 1:]
+        if self.accelerations is not None:
+            a = np.ascontiguousarray(self.accelerations[part].T)
             bend = h * h / 20
-            points[2] = 2 * points[1] - p0 + bend * a0
-            points[3] = 2 * points[4] - p1 + bend * a1
+            points[2] = 2 * points[1] - points[0] + bend * a[:, :-1]
+            points[3] = 2 * points[4] - points[5] + bend * a[:, 1:]
         return h, points
 
     def _ends(self, i: NDArray[np.intp]) -> tuple[tuple[Array, Array], ...]:

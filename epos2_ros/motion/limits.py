@@ -8,7 +8,7 @@ closes in on the true extremum four times faster with each halving.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,8 +25,7 @@ Array = NDArray[np.float64]
 # compared to a millionth, and points are taken to be known to half a unit of the ninth digit.
 RELATIVE_SLACK = 1e-6
 ROUNDING = 0.5e-9  # [unit], [unit/s], [unit/s²]
-_CHUNK = 4096  # pieces at a time, so that the work stays in the cache
-_DERIVATIVES = ("position", "velocity", "acceleration")
+_CHUNK = 2048  # pieces at a time, so that the work stays in the cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,96 +89,94 @@ class Extreme:
 
 def extremes(curve: Curve) -> tuple[Extreme, Extreme, Extreme]:
     """Extremes of position, velocity and acceleration over the whole curve."""
-    axes = curve.positions.shape[1]
-    if len(curve.times_s) == 1:
-        still, when = np.zeros(axes), np.full(axes, curve.start_s)
-        here = curve.positions[0]
-        return (
-            Extreme(here, when, here, when),
-            Extreme(still, when, still, when),
-            Extreme(still, when, still, when),
-        )
-    nothing = np.full(axes, -np.inf)
-    result = []
-    for order in range(3):
-        high, high_s = _peaks(curve, order, 1, lambda h: nothing[:, None])
-        low, low_s = _peaks(curve, order, -1, lambda h: nothing[:, None])
-        result.append(Extreme(-low, low_s, high, high_s))
-    return result[0], result[1], result[2]
+    value, when = _peaks(_pieces(curve), np.full((3, 2, curve.positions.shape[1]), -np.inf))
+    position, velocity, acceleration = (
+        Extreme(-value[order, 1], when[order, 1], value[order, 0], when[order, 0])
+        for order in range(3)
+    )
+    return position, velocity, acceleration
 
 
 def check(curve: Curve, limits: Limits, zero_s: float = 0.0) -> None:
     """Raise TrajectoryError when the curve leaves the limits of an axis anywhere.
 
-    The message names joint, time (counted from `zero_s` on the curve's axis), value and
-    limit; of several, the worst of the first kind of position, velocity, acceleration.
+    The message names joint, time (counted from `zero_s` of the curve's own), value and
+    limit; of several violations the worst, of position before velocity and acceleration.
     """
-    if len(curve.times_s) == 1:
-        curve = Curve(curve.times_s + (0.0, 1.0), np.repeat(curve.positions, 2, axis=0))
-    for order, (low, high) in enumerate(
-        (
-            (limits.lower, limits.upper),
-            (-limits.velocity, limits.velocity),
-            (-limits.acceleration, limits.acceleration),
-        )
-    ):
-        if np.isinf(high).all():
+    bounds = np.array(
+        [
+            [limits.upper, -limits.lower],
+            [limits.velocity, limits.velocity],
+            [limits.acceleration, limits.acceleration],
+        ]
+    )
+    with np.errstate(invalid="ignore"):  # inf: no limit
+        allowed = bounds + RELATIVE_SLACK * np.abs(bounds)
+    value, when = _peaks(_pieces(curve), allowed, ROUNDING)
+    for order, quantity in enumerate(("position", "velocity", "acceleration")):
+        over = value[order] - bounds[order]
+        if np.isneginf(over).all():
             continue
-        for sign, bound in ((1, high), (-1, -low)):
-            allowed = bound + RELATIVE_SLACK * np.abs(bound)
-            value, when = _peaks(
-                curve, order, sign, lambda h, a=allowed, o=order: a[:, None] + _rounding(h, o)
-            )
-            over = np.nan_to_num((value - bound) / np.maximum(np.abs(bound), 1e-9), neginf=-1)
-            joint = int(np.argmax(over))
-            if np.isfinite(value[joint]):
-                unit = limits.units[joint] + ("", "/s", "/s²")[order]
-                raise TrajectoryError(
-                    f"joint '{limits.joints[joint]}': {_DERIVATIVES[order]} "
-                    f"{sign * value[joint]:.6g} {unit} at {when[joint] - zero_s:.3f} s, allowed "
-                    f"{low[joint]:.6g} … {high[joint]:.6g} {unit}"
-                )
+        relative = over / np.maximum(np.abs(bounds[order]), 1e-9)
+        side, joint = np.unravel_index(np.argmax(relative), over.shape)
+        unit = limits.units[joint] + ("", "/s", "/s²")[order]
+        worst = value[order, side, joint] * (1, -1)[side]
+        raise TrajectoryError(
+            f"joint '{limits.joints[joint]}': {quantity} {worst:.6g} {unit} "
+            f"at {when[order, side, joint] - zero_s:.3f} s, allowed "
+            f"{-bounds[order, 1, joint]:.6g} … {bounds[order, 0, joint]:.6g} {unit}"
+        )
 
 
-def _rounding(h: Array, order: int) -> Array:
-    """How far rounding of a piece's points can move its `order`-th derivative [pieces].
+def _pieces(curve: Curve) -> Curve:
+    """A curve of a single point has no pieces; it gets one that stands still."""
+    if len(curve.times_s) > 1:
+        return curve
+    return Curve(curve.times_s + np.array([0.0, 1.0]), np.repeat(curve.positions, 2, axis=0))
 
-    From the Hermite bases: ends of a quintic that are off by e move its velocity by up to
-    2·15/8·e/h and its acceleration by up to 2·10/√3·e/h² (and by e for each given one).
+
+def _peaks(curve: Curve, floor: Array, rounding: float = 0.0) -> tuple[Array, Array]:
+    """Largest values above `floor` [3 derivatives, 2 signs, axes], and their times.
+
+    Sign 0 is the quantity itself, sign 1 its negative. -inf where nothing is above.
+    `rounding` is the error of the curve's points, which `floor` is raised by.
     """
-    return ROUNDING * (1 + (0.0, 4 / h, 12 / (h * h) + 16 / h)[order])
-
-
-def _peaks(
-    curve: Curve, order: int, sign: int, threshold: Callable[[Array], Array]
-) -> tuple[Array, Array]:
-    """Largest value of sign·(derivative) on every axis where it exceeds `threshold`.
-
-    `threshold(h)` gives [axes, pieces] (or [axes, 1]) for pieces of duration h. Returns the
-    values and their times, both [axes]; -inf where nothing exceeds it.
-    """
-    axes = curve.positions.shape[1]
-    best, when = np.full(axes, -np.inf), np.full(axes, curve.start_s)
+    best, when = np.full(floor.shape, -np.inf), np.full(floor.shape, curve.start_s)
     for first in range(0, len(curve.times_s) - 1, _CHUNK):
         last = min(first + _CHUNK, len(curve.times_s) - 1)
         h, points = curve.bezier(first, last)
-        for degree in range(curve.degree, curve.degree - order, -1):
-            points = np.diff(points, axis=0) * (degree / h)
-        if sign < 0:
-            points = -points
-        floor = np.maximum(threshold(h), best[:, None])
-        axis, piece = np.nonzero(points.max(axis=0) > floor)
-        if len(axis):
-            _refine(
-                points[:, axis, piece],
-                axis,
-                curve.times_s[first + piece],
-                h[piece],
-                np.broadcast_to(floor, (axes, last - first))[axis, piece],
-                best,
-                when,
-            )
+        for order in range(3):
+            if order:
+                points = np.diff(points, axis=0)
+                points *= (curve.degree + 1 - order) / h
+            for side, hull in enumerate((points.max(axis=(0, 2)), -points.min(axis=(0, 2)))):
+                least = np.maximum(floor[order, side], best[order, side])
+                axes = np.flatnonzero(hull > least)
+                if len(axes) == 0:
+                    continue
+                signed = points[:, axes] * (1, -1)[side]
+                above = least[axes, None] + rounding * _amplification(h, order)
+                axis, piece = np.nonzero(signed.max(axis=0) > above)
+                _refine(
+                    signed[:, axis, piece],
+                    axes[axis],
+                    curve.times_s[first + piece],
+                    h[piece],
+                    above[axis, piece],
+                    best[order, side],
+                    when[order, side],
+                )
     return best, when
+
+
+def _amplification(h: Array, order: int) -> Array:
+    """How much errors of a piece's points show in its `order`-th derivative [pieces].
+
+    From the Hermite bases: ends of a quintic that are off by e in opposite directions move
+    its velocity by 2·15/8·e/h and its acceleration by 2·10/√3·e/h²; velocities at the ends
+    move the acceleration by up to 8·e/h. Cubics are a little better.
+    """
+    return np.asarray(1.0 + (np.zeros_like(h), 1 + 4 / h, 1 + 8 / h + 12 / (h * h))[order])
 
 
 def _refine(
@@ -199,10 +196,9 @@ def _refine(
     while len(axis):
         for value, at in ((points[0], start), (points[-1], start + h)):
             value = np.where(value > floor, value, -np.inf)
-            order = np.argsort(value)  # so that the largest of an axis is written last
-            better = order[value[order] > best[axis[order]]]
-            best[axis[better]] = value[better]
-            when[axis[better]] = at[better]
+            np.maximum.at(best, axis, value)
+            reached = (value == best[axis]) & (value > floor)
+            when[axis[reached]] = at[reached]
         hull = points.max(axis=0)
         close = 1e-9 * np.maximum(np.abs(hull), 1e-3)
         keep = (hull > floor + close) & (hull > best[axis] + close)

@@ -42,7 +42,7 @@ class State(NamedTuple):
     acceleration: Array
 
     @classmethod
-    def of(cls, motion: Motion | Reference, t_s: float) -> State:
+    def of(cls, motion: Motion, t_s: float) -> State:
         at = np.array([t_s])
         return cls(*(motion.evaluate(at, derivative)[0] for derivative in range(3)))
 
@@ -63,8 +63,12 @@ class Reference:
     @property
     def end_ms(self) -> int:
         """From here on it rests at its end."""
-        end = math.ceil(self.motions[-1].end_s * 1000 - 1e-6)
-        return max(end, self.starts_ms[-1] if self.starts_ms else 0, 0)
+        return max(math.ceil(self.end_s * 1000 - 1e-6), *self.starts_ms[-1:], 0)
+
+    @property
+    def end_s(self) -> float:
+        """Path time from which on it rests; a reference is a motion, too."""
+        return self.motions[-1].end_s
 
     def positions(self, k: NDArray[np.int64]) -> Array:
         """Commanded positions at milliseconds k [m] → [m, axes] [qc], drive frame."""

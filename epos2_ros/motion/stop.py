@@ -77,16 +77,16 @@ def _brake(path: Reference, start_s: float, acceleration: Array) -> Slowed:
         u2 = energy[-1]
         # A + bend·u² is what an axis can still brake; the least u² counts where the path
         # speeds up, the largest where it brakes by itself. u' is σ's second derivative.
-        steepest = -((acceleration + bend * u2) / speed).min()
+        steepest = -np.min((acceleration + bend * u2) / speed)
         least = np.where(bend > 0, max(u2 + 2 * _CELL_S * steepest, 0.0), u2)
-        slope = min(-((acceleration + bend * least) / speed).min(), 0.0)
+        slope = min(-float(np.min((acceleration + bend * least) / speed)), 0.0)
         left = u2 + 2 * _CELL_S * slope
         length = _CELL_S if left > 0 else u2 / (-2 * slope)
         left = max(left, 0.0)
         t.append(t[-1] + 2 * length / (u2**0.5 + left**0.5))
         sigma.append(sigma[-1] + length)
         energy.append(left)
-        if left == 0 or sigma[-1] >= path.motions[-1].end_s:
+        if left == 0 or sigma[-1] >= path.end_s:
             break
     return Slowed(path, np.array(t), np.array(sigma), np.sqrt(energy))
 

@@ -148,7 +148,7 @@ class Trajectory:
         if times[0] < 0:
             raise TrajectoryError(f"point 0: time_from_start {times[0]:g} s is negative")
         steps = np.diff(times)
-        if len(steps) and steps.min() <= 0:
+        if (steps <= 0).any():
             point = int(np.argmax(steps <= 0)) + 1
             raise TrajectoryError(
                 f"point {point}: time_from_start {times[point]:g} s is not after that of "

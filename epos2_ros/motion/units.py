@@ -168,9 +168,7 @@ def drive_limits(axis: AxisConfig, margin_qc: int = 0) -> DriveLimits:
         max(ends[False], INT32_MIN),
         min(ends[True], INT32_MAX),
         None if axis.max_velocity is None else units.velocity_object(axis.max_velocity),
-        None
-        if axis.max_acceleration is None
-        else units.acceleration_object(axis.max_acceleration),
+        None if axis.max_acceleration is None else units.acceleration_object(axis.max_acceleration),
     )
 
 
