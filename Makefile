@@ -17,13 +17,13 @@ help:
 	@echo "make lint   ruff and mypy"
 	@echo "make clean  remove what make and Python left here, .venv included"
 
-demo: $(VENV)/package
+demo: $(VENV)/.package
 	$(VENV)/bin/python -m epos2_ros demo $(ARGS)
 
-test: $(VENV)/package $(VENV)/tools
+test: $(VENV)/.package $(VENV)/.tools
 	$(VENV)/bin/python -m pytest $(ARGS)
 
-lint: $(VENV)/tools
+lint: $(VENV)/.tools
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/python -m mypy
 
@@ -31,10 +31,10 @@ clean:
 	rm -rf $(VENV) build install log *.egg-info .hypothesis .mypy_cache .pytest_cache .ruff_cache
 	find . -name __pycache__ -prune -exec rm -rf {} +
 
-# Each file in .venv named below says when its step was last completed.
+# Each hidden file in .venv says when its step was last completed.
 
 # With a sourced ROS installation its rclpy is used, else the wheels of the extra `ros`.
-$(VENV)/package: $(VENV)/interpreter $(SOURCES)
+$(VENV)/.package: $(VENV)/.interpreter $(SOURCES)
 	@rm -rf build  # of an earlier version, whose deleted modules would be installed again
 	@ros=; $(VENV)/bin/python -c 'import rclpy' 2>/dev/null || ros='[ros]'; \
 	echo "installing epos2_ros$$ros into $(VENV) (the first time about a minute)"; \
@@ -42,13 +42,13 @@ $(VENV)/package: $(VENV)/interpreter $(SOURCES)
  x86-64 Linux; elsewhere source a ROS 2 Jazzy installation, then run make again." >&2; exit 1; }
 	@touch $@
 
-$(VENV)/tools: setup.py | $(VENV)/package
+$(VENV)/.tools: setup.py | $(VENV)/.package
 	@echo "installing the test tools into $(VENV)"
 	@$(PIP) install -qq '.[test]'
 	@touch $@
 
 # The first interpreter that really runs (a pyenv shim may not), is 3.10 … 3.12 and can make a venv.
-$(VENV)/interpreter:
+$(VENV)/.interpreter:
 	@novenv=; \
 	for python in $(or $(PYTHON),python3.12 python3.11 python3.10 python3); do \
 	  version=$$($$python -c 'import sys; v = sys.version_info[:2]; \
