@@ -17,7 +17,7 @@ from concurrent.futures import TimeoutError as FutureTimeoutError
 from dataclasses import dataclass
 
 from epos2_ros.bus.bringup import Epos2Node
-from epos2_ros.bus.link import Link
+from epos2_ros.bus.link import Link, open_bus
 from epos2_ros.bus.settings import axis_setup, drive_settings, group_settings
 from epos2_ros.bus.timestamps import now_us, wall_offset_us
 from epos2_ros.config import DriverConfig
@@ -28,8 +28,9 @@ from epos2_ros.protocol.axis import Axis
 from epos2_ros.protocol.clock import time_of_day
 from epos2_ros.protocol.epos2 import BUFFER_SIZE
 from epos2_ros.protocol.frame import Frame
-from epos2_ros.protocol.group import IN_MOTION, Event, Group, Phase
+from epos2_ros.protocol.group import IN_MOTION, Event, Group
 from epos2_ros.protocol.path import PathCommander
+from epos2_ros.sim.realtime import RealtimeSimulator, build_drives, save_log
 
 REQUEST_TIMEOUT_S = 30.0  # the group's own limits are shorter; this one guards the wait
 IDLE_US = 100_000.0
@@ -93,7 +94,7 @@ class Driver:
         self._group = Group(
             [axis_setup(axis) for axis in config.axes], group_settings(config)
         )
-        self._path = PathCommander(self._group, config, self._units)
+        self._path = PathCommander(self._group, config)
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="sdo")
         self._announcer = ThreadPoolExecutor(1, thread_name_prefix="events")
         self._timer = threading.Thread(target=self._keep_time, name="reactor", daemon=True)
@@ -171,18 +172,17 @@ class Driver:
         if not len(trajectory.times_s):
             self.stop_on_path()
             return
-        prepared = self._path.prepare(trajectory)
         start_us = None
         if trajectory.stamp_s:
             start_us = trajectory.stamp_s * 1e6 + wall_offset_us()
         with self._lock:
-            self._path.submit(prepared, start_us, now_us())
+            self._path.submit(trajectory, start_us, now_us())
             self._step()
 
     def stop_on_path(self) -> None:
         """All axes slow down together along the commanded path; returns when they stand."""
         with self._lock:
-            motion = self._path.stop(now_us())
+            motion = self._path.stop()
             self._step()
         if motion is not None:
             try:
@@ -236,14 +236,15 @@ class Driver:
     def _axis_snapshot(
         self, axis: Axis, units: AxisUnits, path_ms: float | None
     ) -> AxisSnapshot:
-        known = axis.position_qc is not None
         nan = math.nan
+        known = axis.position_qc is not None
+        position_qc = float(axis.position_qc or 0)
         return AxisSnapshot(
             joint=axis.joint,
             node_id=axis.node_id,
             state=axis.state.value,
-            position=float(units.from_qc(axis.position_qc)) if known else nan,
-            velocity=float(units.from_velocity_units(axis.velocity)) if known else nan,
+            position=units.from_qc(position_qc) if known else nan,
+            velocity=units.from_velocity_units(float(axis.velocity)) if known else nan,
             effort=nan if axis.current_ma is None else axis.current_ma / 1000,
             stamp_us=axis.sample_us,
             used=axis.used,
@@ -333,7 +334,22 @@ class Simulation:
     """Simulated drives for every joint of the configuration, on the driver's own bus."""
 
     def __init__(self, config: DriverConfig) -> None:
-        raise NotImplementedError
+        self._log = config.simulation.log
+        self._drives = build_drives(
+            [axis.node_id for axis in config.axes],
+            counts_per_turn=[axis.counts_per_turn for axis in config.axes],
+            drift_ppm=config.simulation.drift_ppm,
+            seed=config.simulation.seed,
+            bitrate=config.bitrate,
+            record=self._log is not None,
+        )
+        self._bus = open_bus(config.interface, config.channel, config.bitrate)
+        self._simulator = RealtimeSimulator(self._bus, self._drives)
+        self._simulator.start()
 
     def close(self) -> None:
         """Stop them and write their log."""
+        self._simulator.stop()
+        self._bus.shutdown()
+        if self._log is not None:
+            save_log(self._log, self._drives)

@@ -69,7 +69,7 @@ class Link(can.Listener):
         self._echo_seen = threading.Event()
         self._traffic: deque[tuple[float, int]] = deque()
         self._bits = 0
-        self._bus = _open(interface, channel, bitrate)
+        self._bus = open_bus(interface, channel, bitrate)
         # Until the probe has shown an echo, frames count as sent when their time is over.
         self._transmitter = Transmitter(self._hand_over, bitrate, echoes=False)
         self._notifier = can.Notifier(self._bus, [self], timeout=0.1)
@@ -177,7 +177,8 @@ class Link(can.Listener):
         self._bus.shutdown()
 
 
-def _open(interface: str, channel: str, bitrate: int) -> can.BusABC:
+def open_bus(interface: str, channel: str, bitrate: int) -> can.BusABC:
+    """A python-can bus that gives our own frames back where the interface can; or BusError."""
     logging.getLogger("can").setLevel(logging.ERROR)
     arguments: dict[str, Any] = {"interface": interface, "channel": channel, "bitrate": bitrate}
     try:

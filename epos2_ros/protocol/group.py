@@ -28,8 +28,9 @@ from enum import Enum
 from typing import NamedTuple
 
 from epos2_ros.errors import DriveError, MotionAborted, TrajectoryError
-from epos2_ros.motion.fit import Fitter, Reference
+from epos2_ros.motion.fit import Fitter
 from epos2_ros.motion.record import MAX_SEGMENT_MS
+from epos2_ros.motion.reference import Reference
 from epos2_ros.protocol import cia402, epos2
 from epos2_ros.protocol.axis import Axis, AxisSetup
 from epos2_ros.protocol.buffer_account import BufferAccount
@@ -132,7 +133,7 @@ class Group:
         self._now_us = -math.inf
         self._configured = False  # all drives are brought up; from now on they are watched
         self._request: Future[None] | None = None
-        self._motion: Future[None] | None = None
+        self.motion: Future[None] | None = None  # ends with the motion in progress
         self._phase_us = -math.inf  # since when the group is in this phase
         self._steps: dict[int, _Step] = {}
         self._uncleared: set[int] = set()
@@ -320,11 +321,11 @@ class Group:
         else:
             self._uncleared.discard(index)
 
-    def begin(self, reference: Reference, start_us: float | None = None) -> Future[None]:
+    def begin(self, reference: Reference, start_us: float | None = None) -> None:
         """Start a motion from rest; its SYNC goes out at `start_us`, or as soon as possible.
 
-        The future ends with the motion: a result when all axes have arrived, `MotionAborted`
-        when they were stopped. `TrajectoryError` when no motion can begin.
+        `motion` then ends with it: a result when all axes have arrived, `MotionAborted` when
+        they were stopped. `TrajectoryError` when no motion can begin.
         """
         if self.phase is not Phase.STANDING:
             raise TrajectoryError(f"can't move: the drives are {self.describe_phase()}")
@@ -334,12 +335,11 @@ class Group:
         self.reason = ""
         self.start_us = None
         self._planned_start_us = start_us
-        self._motion = Future()
+        self.motion = Future()
         for axis in self.axes:
             axis.account = BufferAccount()
         self._enter(Phase.PRIMING)
         self._feed()
-        return self._motion
 
     def replace(self, join: Callable[[Reference, int], Reference]) -> None:
         """Change the motion in progress: `join(current, at_ms)` gives what is commanded from
@@ -351,7 +351,8 @@ class Group:
             raise TrajectoryError(f"nothing to replace: the drives are {self.describe_phase()}")
         if any(axis.account.ended for axis in self.axes):
             raise TrajectoryError("the motion in progress is already ending")
-        reference = join(self.reference, self.committed_ms)
+        earliest = min(axis.account.committed_ms for axis in self.axes)
+        reference = join(self.reference.trimmed(earliest), self.committed_ms)
         self._fitter.replace(reference)
         self.reference = reference
 
@@ -370,6 +371,16 @@ class Group:
     def path_ms(self, now_us: float) -> float | None:
         """Path time at `now_us`; None before the start SYNC."""
         return None if self.start_us is None else (now_us - self.start_us) / 1000
+
+    def zero_us(self, now_us: float) -> float:
+        """Host time of path time zero; before the start SYNC, as far as is known."""
+        if self.start_us is not None:
+            return self.start_us
+        return self._planned_start_us or now_us
+
+    def announce(self, kind: str, text: str) -> None:
+        """Add an event for the log."""
+        self.events.append(Event(kind, text))
 
     def describe_phase(self) -> str:
         """The phase in words, with the reason where there is one."""
@@ -656,7 +667,7 @@ class Group:
             axis.demand_qc = axis.account.last_position_qc
         self._enter(Phase.STANDING)
         self.reference = None
-        motion, self._motion = self._motion, None
+        motion, self.motion = self.motion, None
         self.events.append(Event("done", "all axes have arrived"))
         if motion:
             motion.set_result(None)
@@ -744,9 +755,9 @@ class Group:
         return self._configured and self._now_us > axis.heard_us + SILENCE_TIMEOUT_US
 
     def _watch_silence(self) -> None:
-        if self.phase not in (Phase.FAULT, Phase.HALTING, Phase.RESETTING):
-            if any(self._silent(axis) for axis in self.axes):
-                self._trouble()
+        watched = self.phase not in (Phase.FAULT, Phase.HALTING, Phase.RESETTING)
+        if watched and any(self._silent(axis) for axis in self.axes):
+            self._trouble()
 
     def _complaints(self) -> str:
         """What is wrong with the drives, axis by axis; "" if nothing."""
@@ -780,7 +791,7 @@ class Group:
 
     def _fail_motion(self, reason: str) -> None:
         self.reference = None
-        motion, self._motion = self._motion, None
+        motion, self.motion = self.motion, None
         if motion:
             self.events.append(Event("aborted", reason))
             motion.set_exception(MotionAborted(reason))

@@ -91,6 +91,8 @@ class RealtimeSimulator:
     def _run(self) -> None:
         last_us = -CYCLE_US
         while not self._stopping.is_set():
+            while self._wait(0.0):
+                pass  # what came in while this thread was late happened before now
             with self.lock:
                 now = now_us()
                 due_us = min(drive.next_event_us for drive in self._drives)
@@ -105,23 +107,26 @@ class RealtimeSimulator:
                 wait_s = min(wait_s, CYCLE_US / 1e6)  # then try again
             self._wait(max(0.0, min(wait_s, _LONGEST_WAIT_S)))
 
-    def _wait(self, seconds: float) -> None:
-        """Takes the next frame, if one comes in time."""
+    def _wait(self, seconds: float) -> bool:
+        """Takes the next frame; `False` if none comes in time."""
         try:
             message = self._bus.recv(seconds)
             self.error = None
         except can.CanError as error:
             self.error = str(error)
             self._stopping.wait(_LONGEST_WAIT_S)  # the interface is down: look again later
-            return
-        if message is None or message.is_extended_id or message.is_error_frame or message.is_fd:
-            return
+            return False
+        if message is None:
+            return False
+        if message.is_extended_id or message.is_error_frame or message.is_fd:
+            return True
         with self.lock:
             t_us = self._time_of(message)
             for drive in self._drives:
                 drive.receive(
                     message.arbitration_id, bytes(message.data), t_us, message.is_remote_frame
                 )
+        return True
 
     @staticmethod
     def _time_of(message: can.Message) -> float:
