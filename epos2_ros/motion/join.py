@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epos2_ros.errors import TrajectoryError
-from epos2_ros.motion.crossing import cross, resting_place
 from epos2_ros.motion.curve import Curve
 from epos2_ros.motion.limits import Limits, check
 from epos2_ros.motion.reference import Reference, State
 from epos2_ros.motion.stream import Stream, is_streamed
 from epos2_ros.motion.trajectory import Trajectory
+from epos2_ros.motion.transition import cross, resting_place
 
 Array = NDArray[np.float64]
 

@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epos2_ros.errors import TrajectoryError
-from epos2_ros.motion.crossing import GRACE_S
 from epos2_ros.motion.curve import Curve, hermite
 from epos2_ros.motion.limits import Limits
 from epos2_ros.motion.reference import Motion
 from epos2_ros.motion.trajectory import Trajectory
+from epos2_ros.motion.transition import GRACE_S
 
 Array = NDArray[np.float64]
 
