@@ -13,6 +13,9 @@ import canopen
 import pytest
 from canopen.objectdictionary import ODVariable, datatypes
 
+from epos2_ros.protocol import epos2
+from epos2_ros.sim.epos2 import Epos2
+
 NODE_ID = 5
 EDS = resources.files("epos2_ros") / "eds" / "epos2.eds"
 
@@ -94,6 +97,7 @@ VENDOR = [
     (0x207A, 3, I32, "rw", 0, None, False),
     (0x207A, 4, U16, "rw", 0, None, False),
     (0x207A, 5, U16, "rw", 0, None, False),
+    (0x2081, 0, I32, "rw", 0, None, False),
     (0x20F4, 0, I16, "ro", None, None, True),
 ]
 # CiA 301, 7.5; COB-IDs: predefined connection set (7.3.5)
@@ -236,3 +240,34 @@ def test_sub_numbers_count_the_sub_objects(sections: configparser.RawConfigParse
 def test_canopen_sees_four_pdos_each_way() -> None:
     node = canopen.RemoteNode(NODE_ID, str(EDS))
     assert len(node.rpdo) == len(node.tpdo) == 4
+
+
+@pytest.mark.parametrize(
+    "pdo", epos2.RPDO_MAPPINGS + epos2.TPDO_MAPPINGS, ids=lambda pdo: f"{pdo.cob_id:03X}"
+)
+def test_drivers_pdos_can_be_mapped(
+    dictionary: canopen.ObjectDictionary, pdo: epos2.PdoMapping
+) -> None:
+    """CiA 301, 7.2.2: mappable objects only, up to 64 bits, received ones writable."""
+    entries = [entry(dictionary, *key) for key in pdo.objects]
+    assert all(found.pdo_mappable for found in entries)
+    assert sum(len(found) for found in entries) <= 64
+    received = pdo in epos2.RPDO_MAPPINGS
+    assert all(found.writable if received else found.readable for found in entries)
+
+
+def test_simulated_drive_was_read_from_the_documents_alike(
+    dictionary: canopen.ObjectDictionary,
+) -> None:
+    """Two people's readings: type, access and mapping of every object that both have."""
+    common = 0
+    for (index, subindex), simulated in Epos2(NODE_ID).dictionary.items():
+        found = entry(dictionary, index, subindex)
+        key = f"{index:04X}-{subindex:02X}"
+        if found.data_type != STRING:
+            assert 8 * simulated.type.size == len(found), key
+            assert simulated.type.signed == (found.data_type in datatypes.SIGNED_TYPES), key
+        assert simulated.access.replace("const", "ro") == found.access_type.replace("const", "ro")
+        assert simulated.mappable >= found.pdo_mappable, key
+        common += 1
+    assert common > 100
