@@ -54,8 +54,7 @@ class Bench:
         self.transmitter = Transmitter(self._hand_over, self.config.bitrate, echoes=True)
         self.network = Network(self._send_service)
         self.nodes = [
-            Epos2Node(self.network, drive_settings(axis, self.config))
-            for axis in self.config.axes
+            Epos2Node(self.network, drive_settings(axis, self.config)) for axis in self.config.axes
         ]
         self.frames: list[tuple[float, Frame, bool]] = []  # all that was on the bus: time, echo
         self.events: list[Event] = []

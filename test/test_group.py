@@ -397,8 +397,17 @@ def test_bring_up_finds_its_way_from_whatever_an_earlier_host_left(fault):
 
 def test_axis_settings_reach_the_drive():
     config = DriverConfig(
-        axes=axes(1, max_velocity=2.0, max_acceleration=4.0, min_position=-1.0, max_position=1.0,
-                  stop_deceleration=8.0, max_following_error=1500, direction=-1, offset=0.1)
+        axes=axes(
+            1,
+            max_velocity=2.0,
+            max_acceleration=4.0,
+            min_position=-1.0,
+            max_position=1.0,
+            stop_deceleration=8.0,
+            max_following_error=1500,
+            direction=-1,
+            offset=0.1,
+        )
     )
     drive = Epos2(1)
     Bench(config, [drive])

@@ -91,9 +91,7 @@ class Driver:
         self._simulation: Simulation | None = None
         self._link: Link | None = None
         self._nodes: list[Epos2Node] = []
-        self._group = Group(
-            [axis_setup(axis) for axis in config.axes], group_settings(config)
-        )
+        self._group = Group([axis_setup(axis) for axis in config.axes], group_settings(config))
         self._path = PathCommander(self._group, config)
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="sdo")
         self._announcer = ThreadPoolExecutor(1, thread_name_prefix="events")
@@ -113,12 +111,22 @@ class Driver:
             raise
 
     def _configure(self) -> None:
+        for axis in self._config.axes:
+            if axis.drive != "epos2":
+                raise ConfigurationError(
+                    f"axes.{axis.joint}.drive: {axis.drive!r} can't run in interpolated position "
+                    "mode; allowed is 'epos2'"
+                )
+        if self._config.simulate:
+            self._simulation = Simulation(self._config)
+        self._open()
+        for index in range(len(self._nodes)):
+            self._bring_up(index)
+        self._start_clock()
+        self._timer.start()
+
+    def _open(self) -> None:
         config = self._config
-        unsupported = {axis.drive for axis in config.axes} - {"epos2"}
-        if unsupported:
-            raise ConfigurationError(f"drive family {unsupported.pop()!r} is not supported yet")
-        if config.simulate:
-            self._simulation = Simulation(config)
         self._link = Link(
             config.interface,
             config.channel,
@@ -130,12 +138,11 @@ class Driver:
         self._nodes = [
             Epos2Node(self._link.network, drive_settings(axis, config)) for axis in config.axes
         ]
-        for index in range(len(self._nodes)):
-            self._bring_up(index)
+
+    def _start_clock(self) -> None:
         with self._lock:
             self._group.start_clock(now_us(), time_of_day(time.time()))
             self._step()
-        self._timer.start()
 
     def _bring_up(self, index: int) -> None:
         statusword = self._nodes[index].configure()
@@ -199,14 +206,21 @@ class Driver:
         self._wait(self._request(self._group.quick_stop), "quick stop")
 
     def reset_fault(self) -> None:
-        """Bring restarted or lost drives up again and reset every fault; axes stay off."""
+        """Reopen a bus that failed, bring restarted or lost drives up again, reset every fault.
+
+        The axes stay off.
+        """
         with self._lock:
-            lost = self._group.lost_axes()
+            link, lost = self._link, self._group.lost_axes()
+            if link is not None and link.failed:
+                lost = list(range(len(self._nodes)))
+        if link is not None and link.failed:
+            link.close()
+            self._open()
         for index in lost:
             self._bring_up(index)
         if lost:
-            with self._lock:
-                self._group.start_clock(now_us(), time_of_day(time.time()))
+            self._start_clock()
         self._wait(self._request(self._group.reset_fault), "reset fault")
 
     def snapshot(self) -> Snapshot:
@@ -233,9 +247,7 @@ class Driver:
 
     # ------------------------------------------------------------------ inside
 
-    def _axis_snapshot(
-        self, axis: Axis, units: AxisUnits, path_ms: float | None
-    ) -> AxisSnapshot:
+    def _axis_snapshot(self, axis: Axis, units: AxisUnits, path_ms: float | None) -> AxisSnapshot:
         nan = math.nan
         known = axis.position_qc is not None
         position_qc = float(axis.position_qc or 0)
@@ -291,6 +303,11 @@ class Driver:
     def _step(self) -> None:
         """With the lock held: let the group act, and carry out what it asks for."""
         now = now_us()
+        if self._link is not None and self._link.stalled:
+            self._group.bus_failed(
+                f"{self._link.name} no longer puts frames on the bus: check the cable, its "
+                "termination and whether any drive is powered"
+            )
         self._path.advance(now)
         self._group.advance(now)
         outbox, link = self._group.outbox, self._link

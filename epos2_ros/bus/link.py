@@ -1,7 +1,7 @@
 """The CAN interface: python-can at the edge, frames with host times inside.
 
-One thread (python-can's notifier) brings frames in; any thread sends, under one lock. canopen's
-classes use the same way out, so that an SDO request never gets ahead of a SYNC.
+One thread brings frames in; any thread sends, under one lock. canopen's classes use the same way
+out, so that an SDO request never gets ahead of a SYNC.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from epos2_ros.errors import BusError
 from epos2_ros.protocol.frame import Frame
 
 PROBE_TIMEOUT_S = 0.2
+RECEIVE_TIMEOUT_S = 0.1  # so often the receiving thread looks whether it is to end
 LOAD_WINDOW_US = 1_000_000.0
 ENTER_PRE_OPERATIONAL = Frame(0x000, b"\x80\x00")  # NMT, all nodes
 _QUEUE_FULL = {errno.ENOBUFS, errno.EAGAIN}
@@ -40,10 +41,10 @@ class Network(canopen.Network):
         self._send_frame(Frame(can_id, bytes(data)))
 
 
-class Link(can.Listener):
+class Link:
     """An open CAN interface.
 
-    `on_frame(frame, t_us, echo)` is called in the notifier's thread for every frame on the bus,
+    `on_frame(frame, t_us, echo)` is called in the receiving thread for every frame on the bus,
     our own included (`echo`); adapters that do not echo get an estimate from `pump`.
     `on_failure(text)` is called when the interface stops working. Both are called, and frames
     are sent, with `lock` held.
@@ -72,8 +73,15 @@ class Link(can.Listener):
         self._bus = open_bus(interface, channel, bitrate)
         # Until the probe has shown an echo, frames count as sent when their time is over.
         self._transmitter = Transmitter(self._hand_over, bitrate, echoes=False)
-        self._notifier = can.Notifier(self._bus, [self], timeout=0.1)
-        self._probe()
+        self._closing = False
+        self.failed = False  # the interface itself stopped working: open a new one
+        self._receiver = threading.Thread(target=self._receive, name="CAN receiver", daemon=True)
+        self._receiver.start()
+        try:
+            self._probe()
+        except BusError:
+            self.close()
+            raise
 
     def _probe(self) -> None:
         """Send what bring-up begins with anyway, and see whether the adapter gives it back."""
@@ -129,13 +137,28 @@ class Link(can.Listener):
         except can.CanOperationError as error:
             if error.error_code in _QUEUE_FULL or "buffer full" in str(error).lower():
                 return False
-            self._on_failure(f"{self.name} can't send: {error}")
+            self._fail(f"can't send: {error}")
             return False
         return True
 
+    def _fail(self, text: str) -> None:
+        self.failed = True
+        self._on_failure(f"{self.name} {text}")
+
     # ------------------------------------------------------------------ in
 
-    def on_message_received(self, msg: can.Message) -> None:
+    def _receive(self) -> None:
+        while not self._closing:
+            try:
+                message = self._bus.recv(RECEIVE_TIMEOUT_S)
+            except (can.CanError, OSError) as error:
+                if not self._closing:
+                    self._fail(f"can't receive: {error}")
+                return
+            if message is not None:
+                self._on_message(message)
+
+    def _on_message(self, msg: can.Message) -> None:
         if msg.is_error_frame:
             self.error_frames += 1
             return
@@ -154,9 +177,6 @@ class Link(can.Listener):
         if not echo:
             self.network.notify(msg.arbitration_id, msg.data, t_us / 1e6)
 
-    def on_error(self, exc: Exception) -> None:
-        self._on_failure(f"{self.name} can't receive: {exc}")
-
     # ------------------------------------------------------------------ state
 
     def _count(self, frame: Frame, t_us: float) -> None:
@@ -173,7 +193,8 @@ class Link(can.Listener):
 
     def close(self) -> None:
         """Stop receiving and close the interface."""
-        self._notifier.stop()
+        self._closing = True
+        self._receiver.join()
         self._bus.shutdown()
 
 

@@ -239,9 +239,7 @@ class Group:
         if self.phase in (Phase.DISABLED, Phase.QUICK_STOPPING):
             self._accept(request, Phase.ENABLING)
         elif self.phase is Phase.FAULT:
-            request.set_exception(
-                DriveError(f"can't enable: {self.reason}; reset the fault first")
-            )
+            request.set_exception(DriveError(f"can't enable: {self.reason}; reset the fault first"))
         elif self.phase in IN_MOTION or self.phase is Phase.STANDING:
             request.set_result(None)
         else:
@@ -309,9 +307,7 @@ class Group:
     def lost_axes(self) -> list[int]:
         """Axes that need to be brought up anew: restarted, or silent."""
         return [
-            index
-            for index, axis in enumerate(self.axes)
-            if axis.restarted or self._silent(axis)
+            index for index, axis in enumerate(self.axes) if axis.restarted or self._silent(axis)
         ]
 
     def buffer_cleared(self, index: int, error: str = "") -> None:
@@ -629,9 +625,7 @@ class Group:
 
     def _feed_deadline_us(self) -> float:
         assert self.start_us is not None
-        due = [
-            self._feed_due_ms(axis.account) for axis in self.axes if not axis.account.ended
-        ]
+        due = [self._feed_due_ms(axis.account) for axis in self.axes if not axis.account.ended]
         end_ms = self.committed_ms + END_TIMEOUT_MS
         return self.start_us + 1000 * min(due, default=end_ms)
 
@@ -695,9 +689,7 @@ class Group:
         for axis in self.axes:
             if axis.state is State.OPERATION_ENABLED:
                 self.outbox.append(
-                    axis.controlword(
-                        cia402.ENABLE_OPERATION | epos2.ENABLE_IP_MODE | cia402.HALT
-                    )
+                    axis.controlword(cia402.ENABLE_OPERATION | epos2.ENABLE_IP_MODE | cia402.HALT)
                 )
 
     def _finish_halt(self) -> None:
@@ -747,8 +739,7 @@ class Group:
             self._grant_request()
         elif self._now_us > self._phase_us + STOP_TIMEOUT_US:
             self._settle_fault(
-                "quick stop: "
-                + ", ".join(f"{axis} is in {axis.state.value}" for axis in moving)
+                "quick stop: " + ", ".join(f"{axis} is in {axis.state.value}" for axis in moving)
             )
 
     def _silent(self, axis: Axis) -> bool:

@@ -102,9 +102,7 @@ class PathCommander:
     def _take_over(self, trajectory: Trajectory, start_us: float | None, now_us: float) -> None:
         zero_us = self._group.zero_us(now_us)
         start_ms = round(((now_us if start_us is None else start_us) - zero_us) / 1000)
-        self._group.replace(
-            lambda current, at_ms: self._join(current, trajectory, at_ms, start_ms)
-        )
+        self._group.replace(lambda current, at_ms: self._join(current, trajectory, at_ms, start_ms))
 
     def _join(
         self, current: Reference, trajectory: Trajectory, at_ms: int, start_ms: int
