@@ -9,7 +9,6 @@ Internally positions are in qc, time in ms, velocity in qc/ms, acceleration in q
 from __future__ import annotations
 
 import math
-import random
 from enum import Enum, IntEnum
 from functools import partial
 
@@ -26,8 +25,10 @@ from .dictionary import (
     Entry,
     SdoAbort,
 )
+from .homing import ACTUAL_POSITION, METHODS, Search, Switches, plan
 from .interpolation import BUFFER_SIZE, BufferStatus, Fifo, Point, Segment
-from .profile import Profile, stop, trapezoid
+from .motor import Motor
+from .profile import Profile, jog, stop, trapezoid
 from .recorder import Recorder
 from .slave import INF, Identity, Slave
 
@@ -39,6 +40,7 @@ MAXON = 0x0000_00FB
 UNLIMITED = 0xFFFF_FFFF
 _TOLERANCE = 1 + 1e-9  # for limits that are met exactly
 _SETTLED_QC = 1e-3
+_MA_PER_RPM_S = 0.02  # motor current for an acceleration: an inertia, no friction
 
 
 class State(Enum):
@@ -98,6 +100,7 @@ class Epos2(Slave):
     bitrate:            of the bus; the motion clock counts its bit times
     lag_ms:             time constant with which the axis follows the demand; 0: without lag
     noise_qc:           standard deviation of the measured position while it moves
+    switches:           of the machine, for homing
     record:             keep what is executed in `recorder`
     """
 
@@ -112,6 +115,7 @@ class Epos2(Slave):
         bitrate: int = 1_000_000,
         lag_ms: float = 1.0,
         noise_qc: float = 0.0,
+        switches: Switches | None = None,
         seed: int = 0,
         record: bool = False,
         vendor_id: int = MAXON,
@@ -135,18 +139,13 @@ class Epos2(Slave):
         self.recorder = Recorder() if record else None
         self.ip_start_us = math.nan  # true time of the last path's zero
         self.refused_records = 0  # PVT records that came when none was accepted
-        self._follow = 1.0 - math.exp(-1.0 / lag_ms) if lag_ms else 1.0
-        self._noise_qc = noise_qc
-        self._random = random.Random(seed)
-        self._blocked = False
-        # the axis
-        self._position = float(position_qc)
-        self._velocity = 0.0
-        self._acceleration = 0.0
-        self._actual = position_qc
+        self._motor = Motor(float(position_qc), lag_ms, noise_qc, seed)
+        self._switches = switches or Switches()
+        self._machine_zero = 0.0  # where the machine's zero is since homing
         # the trajectory generator
         self._demand = float(position_qc)
         self._demand_velocity = 0.0
+        self._fifo = Fifo()
         self._origin_us = 0.0  # true time of cycle 0
         self._cycle = 0
         self._profile: Profile | None = None
@@ -180,11 +179,12 @@ class Epos2(Slave):
 
     @property
     def position_actual(self) -> int:
-        return self._actual
+        return self._motor.measured
 
     @property
     def mode(self) -> int:
-        return self._mode.value
+        """0x6061."""
+        return self._mode
 
     @property
     def status_word(self) -> int:
@@ -202,8 +202,14 @@ class Epos2(Slave):
             if self.mode == Mode.INTERPOLATED_POSITION:
                 if self._ip_active:
                     word |= Status.IP_MODE_ACTIVE
-            elif self.mode == Mode.PROFILE_POSITION and self._acknowledged:
-                word |= Status.SETPOINT_ACKNOWLEDGE
+            elif self.mode == Mode.PROFILE_POSITION:
+                if self._acknowledged:
+                    word |= Status.SETPOINT_ACKNOWLEDGE
+            else:
+                if self._homed:
+                    word |= Status.HOMING_ATTAINED
+                if self._homing_error:
+                    word |= Status.HOMING_ERROR
         if self.mode == Mode.PROFILE_POSITION and self._following_error:
             word |= Status.FOLLOWING_ERROR
         return word
@@ -233,8 +239,8 @@ class Epos2(Slave):
 
     def block_rotor(self, blocked: bool = True) -> None:
         """The axis can't move, or can again."""
-        self._blocked = blocked
-        self._velocity = self._acceleration = 0.0
+        self._motor.blocked = blocked
+        self._motor.stand()
         self._start_cycles()
         self._arm()
 
@@ -305,7 +311,7 @@ class Epos2(Slave):
         # state and mode (CiA 402)
         od.variable(0x6040, mapped("Controlword", UNSIGNED16, write=self._on_controlword))
         od.variable(0x6041, mapped("Statusword", UNSIGNED16, "ro", read=lambda: self.status_word))
-        self._mode = od.variable(
+        self._selected_mode = od.variable(
             0x6060,
             mapped(
                 "Modes of operation",
@@ -324,13 +330,15 @@ class Epos2(Slave):
         od.variable(
             0x6062, fast("Position demand value", INTEGER32, read=lambda: self.position_demand)
         )
-        od.variable(0x6064, fast("Position actual value", INTEGER32, read=lambda: self._actual))
+        od.variable(
+            0x6064, fast("Position actual value", INTEGER32, read=lambda: self.position_actual)
+        )
         od.variable(
             0x606C,
             fast(
                 "Velocity actual value",
                 INTEGER32,
-                read=lambda: round(self._velocity / self._velocity_unit),
+                read=lambda: round(self._motor.velocity / self._velocity_unit),
             ),
         )
         od.variable(
@@ -338,7 +346,9 @@ class Epos2(Slave):
             fast(
                 "Current actual value",
                 INTEGER16,
-                read=lambda: _int16(self._acceleration / self._acceleration_unit * 0.02),
+                read=lambda: _int16(
+                    self._motor.acceleration / self._acceleration_unit * _MA_PER_RPM_S
+                ),
             ),
         )
         od.variable(
@@ -346,7 +356,7 @@ class Epos2(Slave):
             fast(
                 "Following error actual value",
                 INTEGER16,
-                read=lambda: _int16(self.position_demand - self._actual),
+                read=lambda: _int16(self.position_demand - self._motor.measured),
             ),
         )
         # parameters of motion (the note, tables 4 and 17)
@@ -385,6 +395,18 @@ class Epos2(Slave):
             0x60C5, Entry("Max acceleration", UNSIGNED32, value=UNLIMITED, low=1)
         )
         od.variable(0x6086, Entry("Motion profile type", INTEGER16, low=0, high=0))
+        # homing
+        self._home_offset = od.variable(0x607C, Entry("Home offset", INTEGER32))
+        self._home_position = od.variable(0x2081, Entry("Home position", INTEGER32))
+        self._homing_method = od.variable(
+            0x6098, Entry("Homing method", INTEGER8, value=7, check=self._check_homing_method)
+        )
+        self._switch_speed = Entry("Speed for switch search", UNSIGNED32, value=100, low=1)
+        self._zero_speed = Entry("Speed for zero search", UNSIGNED32, value=10, low=1)
+        od.record(0x6099, self._switch_speed, self._zero_speed)
+        self._homing_acceleration = od.variable(
+            0x609A, Entry("Homing acceleration", UNSIGNED32, value=1000, low=1)
+        )
         self._velocity_notation = od.variable(
             0x608B,
             Entry(
@@ -395,6 +417,10 @@ class Epos2(Slave):
     def _check_not_enabled(self, _: int) -> None:
         if self.state in _POWERED:
             raise SdoAbort(AbortCode.DEVICE_STATE)
+
+    def _check_homing_method(self, value: int) -> None:
+        if value not in METHODS:
+            raise SdoAbort(AbortCode.VALUE_RANGE)
 
     def _check_max_velocity(self, value: int) -> None:
         if value > 25_000 * 10**-self._velocity_notation.value:
@@ -417,15 +443,19 @@ class Epos2(Slave):
     def _reset_application(self) -> None:
         self.state = State.SWITCH_ON_DISABLED
         self._word = 0  # the last control word
+        self._mode = self._selected_mode.value
         self._referenced = False
-        self._fifo = Fifo()
         self._ip_active = False
-        self._ip_flags = BufferStatus(0)
+        self._clear_buffer()
         self._segment: Segment | None = None
         self._check_position = False
         self._acknowledged = False
         self._setpoint: int | None = None  # what profile position mode moves to
         self._next_setpoint: int | None = None
+        self._homing: list[Search] = []  # what is left of a homing method
+        self._home_target: float | None = None  # its last move goes there
+        self._homed = False
+        self._homing_error = False
         self._following_error = False
         self._target_reached = False
         self._window_since = 0  # the cycle the axis came into the position window
@@ -448,6 +478,8 @@ class Epos2(Slave):
                     self._command_interpolation(last, word)
                 elif self.mode == Mode.PROFILE_POSITION:
                     self._command_profile(last, word)
+                else:
+                    self._command_homing(last, word)
 
     def _command(self, word: int) -> None:
         """The transitions a control word asks for (CiA 402, device control)."""
@@ -493,15 +525,16 @@ class Epos2(Slave):
         self._deactivate()
         self._profile = None
         self._when_stopped = None
-        self._velocity = self._acceleration = 0.0
-        self._position = self._demand = float(self._actual)
-        self._demand_velocity = 0.0
+        self._homing, self._home_target = [], None
+        self._motor.stand(round(self._motor.position))
+        self._demand, self._demand_velocity = self._motor.position, 0.0
         self._tick_us = INF
         self._dirty = True
 
     def _stop(self, deceleration: Entry) -> None:
         """Decelerates from the present demand."""
         self._deactivate()
+        self._homing, self._home_target = [], None
         self._follow_profile(
             stop(
                 self._demand, self._demand_velocity, deceleration.value * self._acceleration_unit
@@ -532,14 +565,18 @@ class Epos2(Slave):
         if value not in list(Mode):
             raise SdoAbort(AbortCode.VALUE_RANGE)
 
-    def _on_mode(self, _: int) -> None:
-        if self._ip_active:
-            self._stop(self._profile_deceleration)
+    def _on_mode(self, value: int) -> None:
+        if value == self._mode:
+            return
+        self._mode = value
         if self.state is State.OPERATION_ENABLED:
+            if self._ip_active or self._profile is not None:
+                self._stop(self._profile_deceleration)
             self._enter_mode()
 
     def _enter_mode(self) -> None:
         self._acknowledged, self._setpoint, self._next_setpoint = False, None, None
+        self._homed = self._homing_error = False
         if self.mode == Mode.INTERPOLATED_POSITION:  # transition I (the note, table 3)
             self._clear_buffer()
 
@@ -714,6 +751,77 @@ class Epos2(Slave):
             )
         )
 
+    # --- homing mode (CiA 402) ----------------------------------------------------------
+
+    def _command_homing(self, last: int, word: int) -> None:
+        rising = word & ~last
+        if rising & Control.HALT or last & ~word & Control.HOMING_START:
+            if self._homing or self._home_target is not None:
+                self._stop(self._homing_acceleration)
+        elif rising & Control.HOMING_START and not word & Control.HALT:
+            self._homed = self._homing_error = self._referenced = False
+            method = self._homing_method.value
+            here = self._motor.position
+            if method in ACTUAL_POSITION:
+                self._home_found(here + self._home_offset.value)
+                return
+            self._homing = plan(
+                method, here - self._machine_zero, self._switches, self.counts_per_turn
+            )
+            self._begin_search()
+
+    def _begin_search(self) -> None:
+        search = self._homing[0]
+        speed = (self._zero_speed if search.slow else self._switch_speed).value
+        self._follow_profile(
+            jog(
+                self._demand,
+                self._demand_velocity,
+                search.direction * speed * self._velocity_unit,
+                self._homing_acceleration.value * self._acceleration_unit,
+            )
+        )
+
+    def _search(self) -> None:
+        """Looks whether the axis has passed what it is searching."""
+        search = self._homing[0]
+        machine = self._motor.position - self._machine_zero
+        if (machine - search.edge) * search.direction >= 0:
+            del self._homing[0]
+            if self._homing:
+                self._begin_search()
+            else:
+                self._home_target = search.edge + self._machine_zero + self._home_offset.value
+                self._move_home(self._home_target)
+        else:
+            limit = (
+                self._switches.positive_limit
+                if search.direction > 0
+                else self._switches.negative_limit
+            )
+            if (machine - limit) * search.direction > 0:  # a limit switch before what it searches
+                self._homing_error = True
+                self._stop(self._homing_acceleration)
+
+    def _move_home(self, target: float) -> None:
+        acceleration = self._homing_acceleration.value * self._acceleration_unit
+        speed = self._switch_speed.value * self._velocity_unit
+        self._follow_profile(
+            trapezoid(
+                self._demand, self._demand_velocity, target, speed, acceleration, acceleration
+            )
+        )
+
+    def _home_found(self, place: float) -> None:
+        """From now on `place` is called home position (0x2081)."""
+        shift = self._home_position.value - place
+        self._machine_zero += shift
+        self._motor.stand(self._motor.position + shift)
+        self._demand += shift
+        self._home_target = None
+        self._homed = self._referenced = True
+        self._dirty = True
+
     # --- control cycle ------------------------------------------------------------------
 
     def _follow_profile(self, profile: Profile) -> None:
@@ -736,30 +844,21 @@ class Epos2(Slave):
         cycle = self._cycle = self._cycle + 1
         self._tick_us = self._origin_us + (cycle + 1) * 1000.0 / self.rate
         segment, arrived = self._segment, False
-        demand = self._demand
         if segment is not None:
             u = cycle - segment.end_ms
             demand = ((segment.a * u + segment.b) * u + segment.c) * u + segment.d
             if self._check_position and not self._allowed(demand):
                 self._fault(SOFTWARE_POSITION_LIMIT)
-                return
-            self._demand = demand
+            else:
+                self._demand = demand
         elif self._profile is not None:
             elapsed = cycle - self._profile_start
-            demand, self._demand_velocity = self._profile.at(elapsed)
-            self._demand = demand
+            self._demand, self._demand_velocity = self._profile.at(elapsed)
             arrived = elapsed >= self._profile.duration_ms
 
-        if not self._blocked:
-            velocity = (demand - self._position) * self._follow
-            self._acceleration = velocity - self._velocity
-            self._velocity = velocity
-            self._position += velocity
-        position = self._position
-        if self._noise_qc:
-            position += self._random.gauss(0.0, self._noise_qc)
-        self._actual = round(position)
-        lag = demand - self._position
+        motor = self._motor
+        motor.step(self._demand)
+        lag = self._demand - motor.position
         limit = self._max_following_error.value
         if (lag > limit or -lag > limit) and self.state is not State.FAULT_REACTION_ACTIVE:
             self._following_error = True
@@ -770,6 +869,8 @@ class Epos2(Slave):
                 self._next_segment()
             if self.recorder is not None:
                 self._record()
+        elif self._homing:
+            self._search()
         elif arrived:
             self._arrive()
         elif self._profile is None:
@@ -781,9 +882,12 @@ class Epos2(Slave):
     def _arrive(self) -> None:
         """The profile is at its end."""
         self._profile = None
+        self._window_since = self._cycle
         self._dirty = True
         if self._when_stopped is not None:
             self._switch_off(self._when_stopped)
+        elif self._home_target is not None:
+            self._home_found(self._home_target)
         elif self._next_setpoint is not None and not self._word & Control.HALT:
             self._setpoint, self._next_setpoint = self._next_setpoint, None
             if not self._word & Control.NEW_SETPOINT:
@@ -800,19 +904,16 @@ class Epos2(Slave):
             if window == UNLIMITED or waited >= self._window_time.value:
                 self._target_reached = True
                 self._dirty = True
-        if self._blocked or abs(lag) < _SETTLED_QC:
-            if not self._blocked:
-                self._position = self._demand
-                self._actual = round(self._position)
-            self._velocity = self._acceleration = 0.0
+        if self._motor.blocked or abs(lag) < _SETTLED_QC:
+            self._motor.stand(None if self._motor.blocked else self._demand)
             self._dirty = True
-            if self._target_reached or self._blocked:
+            if self._target_reached or self._motor.blocked:
                 self._tick_us = INF
 
     def _record(self) -> None:
         assert self.recorder is not None
         self.recorder.add(
-            self.now_us, self._cycle, self._demand, self._actual, len(self._fifo)
+            self.now_us, self._cycle, self._demand, self._motor.measured, len(self._fifo)
         )
 
 

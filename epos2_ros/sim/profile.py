@@ -36,8 +36,8 @@ class Profile:
         self.duration_ms += duration_ms
 
     def end(self, target: float | None = None) -> Profile:
-        """Rests where the phases lead, `target` if that is known without rounding."""
-        self.target = self._position if target is None else target
+        """Rests at `target`, or at the whole count the phases lead to."""
+        self.target = round(self._position) if target is None else target
         return self
 
     def cruise(self) -> Profile:
