@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import math
 import re
+import signal
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import rclpy
+import yaml
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.msg import Transition
@@ -25,9 +31,12 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from epos2_ros.bus.driver import AxisSnapshot, Event, Snapshot
 from epos2_ros.config import DriverConfig
+from epos2_ros.demo.report import Executed
+from epos2_ros.demo.witness import Witness
 from epos2_ros.errors import BusError, DriveError, TrajectoryError
+from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.node import messages
-from epos2_ros.node.driver import EXECUTOR_THREADS, DriverNode
+from epos2_ros.node.driver import EXECUTOR_THREADS, DriverNode, main
 
 WAIT_S = 20.0  # for something that must happen; reached only when it does not
 LOG_LINE = re.compile(r"\[(\w+)\] \[[\d.]+\] \[epos2_driver\]: (.*)")
@@ -587,9 +596,99 @@ def test_diagnostics_of_the_bus(values, level):
     assert {v.key: v.value for v in bus.values}["load [%]"] == "12.5"
 
 
-def test_main_refuses_arguments_it_does_not_know():
-    from epos2_ros.node.driver import main
+# -- the program -----------------------------------------------------------------------------
 
+
+class Program:
+    """`epos2_ros driver` with simulated drives, as a process of its own."""
+
+    def __init__(self, env: dict[str, str], *arguments: str) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "epos2_ros", "driver", *arguments],
+            env=env,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        self.output = ""
+
+    def read_until(self, words: str) -> None:
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            self.output += line
+            if words in line:
+                return
+        pytest.fail(f"no {words!r} in {self.output}")
+
+    def end(self, number: int) -> int:
+        """Sends the signal and gives the exit status."""
+        self._process.send_signal(number)
+        rest, _ = self._process.communicate()
+        self.output += rest
+        return self._process.returncode
+
+    def kill(self) -> None:
+        self._process.kill()
+        self._process.wait()
+
+
+@pytest.fixture
+def program(ros_env: dict[str, str]) -> Iterator[Callable[..., Program]]:
+    programs: list[Program] = []
+
+    def start(*arguments: str) -> Program:
+        programs.append(Program(ros_env, *arguments))
+        return programs[-1]
+
+    yield start
+    for it in programs:
+        it.kill()
+
+
+GANTRY = Path(__file__).parents[1] / "config" / "gantry.yaml"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_stops_on_the_path(number, program, ros_domain_id, examples, tmp_path):
+    log = tmp_path / "log.npz"
+    driver = program(
+        *("--ros-args", "--params-file", str(GANTRY)),
+        *("-p", f"epos2_driver:simulation.log:={log}"),
+    )
+    driver.read_until("active: ")
+    trajectory = Trajectory.from_dict(yaml.safe_load((examples / "raster_scan.yaml").read_text()))
+    with Witness(ros_domain_id) as witness:
+        while not witness.ready:
+            witness.spin(0.05)
+        witness.publish(trajectory)
+        while witness.positions["gantry_x"] < 0.05:  # in full motion along its first line
+            witness.spin(0.02)
+        assert driver.end(number) == 0
+    assert "Traceback" not in driver.output
+    assert "context" not in driver.output
+    x, y = (Executed.load(log, node).demand_qc for node in (1, 2))
+    assert len(x) < 4500  # of 9000 ms
+    assert max(abs(x[-1] - x[-2]), abs(y[-1] - y[-2])) <= 2  # it came to rest …
+    assert np.abs(np.diff(x, 2)).max() <= 4  # … as gently as it was told to move, 2 qc/ms² …
+    lines = [abs(y), abs(x - 400_000), abs(y - 20_000), abs(x), abs(y - 40_000)]
+    assert np.min(lines, axis=0).max() <= 1.0  # … on the lines of the raster
+
+
+def test_a_driver_that_cannot_configure_stays_up_and_ends_cleanly(program):
+    driver = program("--ros-args", "-p", "axes.joint_1.gear_ratio:=-5.0")
+    driver.read_until("configure failed: axes.joint_1.gear_ratio is -5.0")
+    assert driver.end(signal.SIGINT) == 0
+    assert "Traceback" not in driver.output
+
+
+def test_arguments_ros_cannot_read_are_one_line_and_a_status(program):
+    driver = program("--ros-args", "-p", "nonsense")
+    driver.read_until("epos2_ros driver: ")
+    assert driver.end(0) == 2
+    assert "Traceback" not in driver.output
+
+
+def test_main_refuses_arguments_it_does_not_know():
     with pytest.raises(SystemExit) as caught:
         main(["--six-axes"])
     assert caught.value.code == 2

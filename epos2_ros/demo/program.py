@@ -136,7 +136,8 @@ class Machine:
             else:
                 driver = children.enter_context(self._driver({"simulation.log": str(self.log)}))
             witness = children.enter_context(Witness(self.domain_id))
-            watch = Watch(driver, witness, terminal)
+            units = {scale.joint: scale.unit for scale in self.scales}
+            watch = Watch(driver, witness, units, terminal)
             watch.wait(lambda: witness.ready, READY_TIMEOUT_S, "the driver is not active")
             witness.publish(trajectory)
             watch.follow(trajectory.duration_s)
@@ -178,8 +179,11 @@ class Machine:
 class Watch:
     """Follows the driver: its log and its topics, on the terminal."""
 
-    def __init__(self, driver: Child, witness: Witness, terminal: Terminal) -> None:
+    def __init__(
+        self, driver: Child, witness: Witness, units: Mapping[str, str], terminal: Terminal
+    ) -> None:
         self._driver = driver
+        self._units = units  # by joint
         self._witness = witness
         self._terminal = terminal
 
@@ -209,11 +213,12 @@ class Watch:
         def over() -> bool:
             nonlocal shown
             now = time.monotonic()
+            elapsed_s = min(now - start, duration_s)
             if self._terminal.interactive:
-                self._terminal.block(self._progress(now - start, duration_s))
+                self._terminal.block(self._progress(elapsed_s, duration_s))
             elif now - shown >= 1.0:
                 shown += 1.0
-                self._terminal.line(self._summary(now - start, duration_s))
+                self._terminal.line(self._summary(elapsed_s, duration_s))
             return not witness.moving
 
         self.wait(over, duration_s + MOVE_TIMEOUT_S, "the axes still move")
@@ -231,7 +236,7 @@ class Watch:
         for joint, values in buffers.items():
             used, size = int(values["used"]), int(values["size"])
             lines.append(
-                f"  {joint:{width}} {self._witness.positions[joint]:+9.4f}  "
+                f"  {joint:{width}} {self._witness.positions[joint]:+9.4f} {self._units[joint]:3}  "
                 f"{bar(used / size, 16)} {used:2} records, {values['buffered_ms']:>4} ms ahead"
             )
         return lines

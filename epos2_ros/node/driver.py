@@ -278,18 +278,18 @@ class DriverNode(LifecycleNode):
 def main(argv: Sequence[str] | None = None) -> int:
     """`epos2_ros driver`: runs until Ctrl-C or SIGTERM, then stops on the path and returns 0."""
     args = sys.argv[1:] if argv is None else list(argv)
-    argparse.ArgumentParser(
+    usage = argparse.ArgumentParser(
         prog="epos2_ros driver",
         description="The driver node. Parameters are given as to every ROS 2 node: "
         "--ros-args -p NAME:=VALUE or --params-file FILE.",
-    ).parse_args(remove_ros_args(args))
-
+    )
     # rclpy's own handlers would end the context at once, and the topics with it; here the motion
     # is brought to a stop first. The main thread does nothing but wait, so it gets the signal.
     asked_to_stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: asked_to_stop.set())
     try:
+        usage.parse_args(remove_ros_args(args))
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     except RCLError as error:
         print(f"epos2_ros driver: {str(error).splitlines()[0]}", file=sys.stderr)
