@@ -70,12 +70,19 @@ def prefix(request: pytest.FixtureRequest) -> Path:
 
 
 @pytest.fixture
-def installed_env(prefix: Path, ros_env: dict[str, str]) -> dict[str, str]:
-    """Environment in which `prefix` is sourced, and the checkout is not."""
+def outside_env(ros_env: dict[str, str]) -> dict[str, str]:
+    """Environment in which ROS is found and the checkout is not."""
+    others = [path for path in ros_env["PYTHONPATH"].split(os.pathsep) if path != str(ROOT)]
+    return ros_env | {"PYTHONPATH": os.pathsep.join(others)}
+
+
+@pytest.fixture
+def installed_env(prefix: Path, outside_env: dict[str, str]) -> dict[str, str]:
+    """Environment in which `prefix` is sourced."""
     (site_packages,) = prefix.glob("lib/python*/site-packages")
-    return ros_env | {
-        "PYTHONPATH": str(site_packages),
-        "AMENT_PREFIX_PATH": f"{prefix}{os.pathsep}{ros_env['AMENT_PREFIX_PATH']}",
+    return outside_env | {
+        name: f"{path}{os.pathsep}{outside_env[name]}"
+        for name, path in (("PYTHONPATH", site_packages), ("AMENT_PREFIX_PATH", prefix))
     }
 
 
@@ -133,15 +140,14 @@ def start() -> Iterator[Callable[..., subprocess.Popen[str]]]:
 
 def test_driver_built_with_colcon_runs_and_ends_on_ctrl_c(
     colcon_prefix: Path,
-    ros_env: dict[str, str],
+    outside_env: dict[str, str],
     tmp_path: Path,
     start: Callable[..., subprocess.Popen[str]],
 ) -> None:
-    del ros_env["PYTHONPATH"]
     setup = colcon_prefix.parent / "local_setup.bash"
     driver = colcon_prefix / "lib" / "epos2_ros" / "driver"
-    node = start("bash", "-c", f"source {setup} && exec {driver}", env=ros_env, cwd=tmp_path)
-    run(sys.executable, "-c", WAIT_FOR_JOINT_STATES, env=ros_env)
+    node = start("bash", "-c", f"source {setup} && exec {driver}", env=outside_env, cwd=tmp_path)
+    run(sys.executable, "-c", WAIT_FOR_JOINT_STATES, env=outside_env)
     node.send_signal(signal.SIGINT)
     assert node.wait(TIMEOUT_S) == 0
 
