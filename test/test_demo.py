@@ -258,9 +258,11 @@ def children_of(pid: int) -> list[int]:
     return [int(child) for child in children]
 
 
-@pytest.mark.parametrize("name", ["jerk_limited", "raster_scan"])
-def test_the_demo_runs_an_example_within_its_limits(name, command, examples, tmp_path):
-    demo = command("demo", examples / f"{name}.yaml")
+@pytest.mark.parametrize(
+    ("name", "options"), [("raster_scan", []), ("jerk_limited", ["--two-processes"])]
+)
+def test_the_demo_runs_an_example_within_its_limits(name, options, command, examples, tmp_path):
+    demo = command("demo", examples / f"{name}.yaml", *options)
     output, _ = demo.communicate()
     assert demo.returncode == 0, output
     joints = yaml.safe_load((examples / f"{name}.yaml").read_text())["joint_names"]

@@ -414,6 +414,14 @@ def test_joint_states_are_those_of_the_drives_at_the_time_of_the_sample(world):
     assert stamp_ns == pytest.approx(sampled_ns, abs=100e6)
 
 
+def test_with_simulated_time_that_has_not_begun_there_are_states(world):
+    driver = world.started(use_sim_time=True, state_rate=200.0)
+    states = world.listen(JointState, "/joint_states")
+    world.wait(lambda: states)
+    assert (states[0].header.stamp.sec, states[0].header.stamp.nanosec) == (0, 0)
+    assert driver.calls == ["configure", "enable"]
+
+
 def test_buffer_status_and_diagnostics_are_published(world):
     world.started(can__channel="can7")
     buffers = world.listen(DiagnosticArray, "/epos2_driver/buffer_status")

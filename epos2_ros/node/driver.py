@@ -30,7 +30,6 @@ from lifecycle_msgs.srv import ChangeState
 from rclpy._rclpy_pybind11 import RCLError
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock, ClockType
-from rclpy.duration import Duration
 from rclpy.executors import MultiThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.signals import SignalHandlerOptions
@@ -86,7 +85,7 @@ class DriverNode(LifecycleNode):
         self._topics_group = MutuallyExclusiveCallbackGroup()
         self._topic_timers: list[rclpy.timer.Timer] = []
 
-        self._joint_states = self.create_publisher(JointState, "/joint_states", 10)
+        self._joint_states = self.create_publisher(JointState, "joint_states", 10)
         self._buffer_status = self.create_publisher(DiagnosticArray, "~/buffer_status", 10)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.create_subscription(
@@ -231,7 +230,8 @@ class DriverNode(LifecycleNode):
     def _ros_time(self, host_us: float) -> Time:
         """Host time (monotonic [µs]) as ROS time."""
         age_ns = time.monotonic_ns() - round(host_us * 1e3)
-        return (self.get_clock().now() - Duration(nanoseconds=age_ns)).to_msg()
+        sec, nanosec = divmod(max(0, self.get_clock().now().nanoseconds - age_ns), 10**9)
+        return Time(sec=sec, nanosec=nanosec)
 
     def _on_event(self, event: Event) -> None:
         if event.kind in ("aborted", "fault"):
