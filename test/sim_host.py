@@ -85,7 +85,7 @@ class Host:
     def ask(self, request: bytes | str, node: int = 1) -> bytes:
         """One SDO frame there, one back."""
         before = len(self.heard(0x580 + node))
-        self.send(0x600 + node, request, ms=1.0)
+        self.send(0x600 + node, request, ms=self.bus.bit_us)  # 1 ms at 1 Mbit/s
         answers = self.heard(0x580 + node)[before:]
         assert len(answers) == 1, f"{len(answers)} answers"
         return answers[0]

@@ -627,12 +627,12 @@ class Epos2(Slave):
         self._target_reached = False
         self.ip_start_us = self.received_us
         self._origin_us, self._cycle = self.received_us, 0
+        self._schedule_cycle()
+        self._segment = None
+        self._next_segment()
         if self.recorder is not None:
             self.recorder.begin()
             self._record()
-        self._segment = None
-        self._next_segment()
-        self._schedule_cycle()
 
     def _deactivate(self) -> None:
         """Transition IV."""

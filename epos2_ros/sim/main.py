@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import os
 import signal
 import sys
 import threading
+from pathlib import Path
 from typing import NoReturn
 
 import can
@@ -72,12 +74,16 @@ def _arguments(argv: list[str]) -> argparse.Namespace:
         "--drift-ppm", type=_not_negative, default=0.0, help="clocks drift by up to ± this"
     )
     parser.add_argument("--seed", type=int, default=0, help="of everything random")
-    parser.add_argument("--log", metavar="FILE.npz", help="write what was executed here at the end")
+    parser.add_argument(
+        "--log", type=Path, metavar="FILE.npz", help="write what was executed here at the end"
+    )
     arguments = parser.parse_args(_without_ros_arguments(argv))
     if not arguments.slcan and arguments.channel is None:
         parser.error("--channel is needed (or --slcan)")
-    if arguments.log is not None and not arguments.log.endswith(".npz"):
-        parser.error(f"--log {arguments.log!r}: must end in .npz")
+    if arguments.log is not None and arguments.log.suffix != ".npz":
+        parser.error(f"--log {arguments.log}: must end in .npz")
+    if arguments.log is not None and not os.access(arguments.log.parent, os.W_OK):
+        parser.error(f"--log {arguments.log}: can't write to {arguments.log.parent}")
     return arguments
 
 

@@ -12,6 +12,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Sequence
+from pathlib import Path
 
 import can
 
@@ -59,7 +60,7 @@ def build_drives(
     ]
 
 
-def save_log(path: str, drives: Sequence[Epos2]) -> None:
+def save_log(path: str | Path, drives: Sequence[Epos2]) -> None:
     """Writes what recording drives have executed as `node_<id>_<column>` into an .npz file."""
     save(path, [(drive.node_id, drive.recorder) for drive in drives if drive.recorder])
 

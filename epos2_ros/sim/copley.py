@@ -1,0 +1,481 @@
+"""A simulated Copley drive of the plus family with its motor and position-triggered outputs.
+
+Sources: Copley, "Setting outputs at position" (in the text: "the note"); CiA 402 for the state
+machine and profile position mode. Units of CiA 402's objects on a Copley drive: position in
+counts, velocity in 0.1 counts/s, acceleration in 10 counts/s² (public descriptions of its CANopen
+objects). Internally positions are in counts, time in ms, velocity in counts/ms.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from enum import Enum
+from functools import partial
+
+from .copley_compare import CompareModule, SoftwarePin, TraceMemory
+from .dictionary import (
+    INTEGER8,
+    INTEGER16,
+    INTEGER32,
+    UNSIGNED16,
+    UNSIGNED32,
+    AbortCode,
+    DataType,
+    Entry,
+    ObjectDictionary,
+    SdoAbort,
+)
+from .profile import Profile, stop, trapezoid
+from .sdo import SdoServer
+from .slave import INF, Identity, Slave
+
+COPLEY_CONTROLS = 0x0000_00AB
+LOOP_US = 250.0  # 4 kHz (the note, "Position extrapolation")
+NUMBER_OF_OUTPUTS = 8
+TRACE_WORDS = 8192
+PROFILE_POSITION = 1
+
+VELOCITY_UNIT = 0.1e-3  # 0.1 counts/s [counts/ms]
+ACCELERATION_UNIT = 10e-6  # 10 counts/s² [counts/ms²]
+OUTPUT_BYTES = DataType(10)
+
+Motion = Callable[[float], tuple[float, float]]
+
+
+class State(Enum):
+    """CiA 402 states by the bits 0–3, 5 and 6 of the status word."""
+
+    SWITCH_ON_DISABLED = 0x40
+    READY_TO_SWITCH_ON = 0x21
+    SWITCHED_ON = 0x23
+    OPERATION_ENABLED = 0x27
+    QUICK_STOP_ACTIVE = 0x07
+    FAULT = 0x08
+
+
+class Control:
+    """Bits of the control word."""
+
+    SWITCH_ON = 1 << 0
+    ENABLE_VOLTAGE = 1 << 1
+    QUICK_STOP = 1 << 2  # low active
+    ENABLE_OPERATION = 1 << 3
+    NEW_SETPOINT = 1 << 4
+    CHANGE_IMMEDIATELY = 1 << 5
+    RELATIVE = 1 << 6
+    FAULT_RESET = 1 << 7
+    HALT = 1 << 8
+
+
+class Status:
+    """Bits of the status word besides those of the state."""
+
+    VOLTAGE_ENABLED = 1 << 4
+    REMOTE = 1 << 9
+    TARGET_REACHED = 1 << 10
+    SETPOINT_ACKNOWLEDGE = 1 << 12
+
+
+_POWERED = (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE)
+
+
+class Copley(Slave):
+    """One drive.
+
+    node_id:      1 … 127
+    position:     where the axis stands at power-on [counts]
+    quadrature:   a quadrature encoder on the primary input: the compare module sees every count.
+                  Else the drive samples the encoder once a loop and extrapolates until the next
+    count_offset: the encoder says floor(position + count_offset)
+    lag_ms:       time constant with which the axis follows the commanded position; 0: none
+    drift_ppm:    of its clock against true time
+    """
+
+    def __init__(
+        self,
+        node_id: int,
+        *,
+        position: int = 0,
+        quadrature: bool = True,
+        count_offset: float = 0.5,
+        lag_ms: float = 0.0,
+        drift_ppm: float = 0.0,
+        serial: int = 1,
+        t_us: float = 0.0,
+    ) -> None:
+        identity = Identity(
+            device_type=0x0002_0192,
+            vendor_id=COPLEY_CONTROLS,
+            product_code=0x0000_0380,
+            revision=0x0001_0028,  # firmware 1.40, the first with a compare module
+            serial=serial,
+            device_name=b"AEP",
+            hardware_version=b"1",
+            software_version=b"1.40",
+        )
+        self.module = CompareModule()
+        self.trace = TraceMemory(TRACE_WORDS)
+        self.pins = [SoftwarePin(self.trace) for _ in range(NUMBER_OF_OUTPUTS)]
+        self.seen = (position, position)  # least and largest count the module has seen
+        self._quadrature = quadrature
+        self._offset = count_offset
+        self._follow = 1.0 - math.exp(-LOOP_US / 1000 / lag_ms) if lag_ms else 1.0
+        self._shaft = self._commanded = float(position)
+        self._velocity = 0.0
+        self._extrapolated = float(position)
+        self._moved: Motion | None = None  # by hand
+        self._profile: Profile | None = None
+        self._profile_us = 0.0  # when it began
+        super().__init__(node_id, identity, t_us)
+        self.rate = 1.0 + drift_ppm * 1e-6
+        self._build_objects()
+        self._sdo = SdoServer(_WithTraceData(self.dictionary, self.trace))
+        self._loop_us = t_us  # when the last loop began
+        self._reset_application()
+
+    # --- observation --------------------------------------------------------------------
+
+    @property
+    def position_actual(self) -> int:
+        """What the encoder says."""
+        return math.floor(self._shaft + self._offset)
+
+    @property
+    def status_word(self) -> int:
+        """0x6041."""
+        word = self.state.value
+        if self.state is not State.SWITCH_ON_DISABLED and self.state is not State.FAULT:
+            word |= Status.VOLTAGE_ENABLED
+        if self._operational:
+            word |= Status.REMOTE
+        if self._profile is None:
+            word |= Status.TARGET_REACHED
+        if self._acknowledged:
+            word |= Status.SETPOINT_ACKNOWLEDGE
+        return word
+
+    def output(self, pin: int) -> bool:
+        """The level at output `pin`, counted from 1."""
+        output = self.pins[pin - 1]
+        if output.function == 16:
+            return self.module.output(self.now_us) != bool(output.word & 1 << 8)
+        return output.output(self.now_us)
+
+    def move_by_hand(self, motion: Motion | None) -> None:
+        """Someone else moves the shaft: position and velocity [counts, counts/s] at time [µs]."""
+        self._moved = motion
+        self._run_loop()
+        self._arm()
+
+    # --- object dictionary --------------------------------------------------------------
+
+    def _build_objects(self) -> None:
+        od = self.dictionary
+        mapped = partial(Entry, mappable=True)
+        od.variable(0x6040, mapped("Controlword", UNSIGNED16, write=self._on_controlword))
+        od.variable(0x6041, mapped("Statusword", UNSIGNED16, "ro", read=lambda: self.status_word))
+        od.variable(
+            0x6060,
+            mapped("Modes of operation", INTEGER8, value=PROFILE_POSITION, low=1, high=1),
+        )
+        od.variable(
+            0x6061,
+            mapped("Modes of operation display", INTEGER8, "ro", read=lambda: PROFILE_POSITION),
+        )
+        for index, name, read in (
+            (0x6062, "Position demand value", lambda: round(self._commanded)),
+            (0x6064, "Position actual value", lambda: self.position_actual),
+            (0x606C, "Velocity actual value", lambda: round(self._velocity / VELOCITY_UNIT)),
+        ):
+            od.variable(
+                index, Entry(name, INTEGER32, "ro", mappable=True, read=read, fast=True)
+            )
+        self._target = od.variable(0x607A, mapped("Target position", INTEGER32))
+        self._limits = (
+            Entry("Min position limit", INTEGER32, value=INTEGER32.low),
+            Entry("Max position limit", INTEGER32, value=INTEGER32.high),
+        )
+        od.record(0x607D, *self._limits)
+        unsigned = partial(Entry, type=UNSIGNED32, low=1, mappable=True)
+        self._speed = od.variable(0x6081, unsigned("Profile velocity", value=1_000_000))
+        self._acceleration = od.variable(0x6083, unsigned("Profile acceleration", value=100_000))
+        self._deceleration = od.variable(0x6084, unsigned("Profile deceleration", value=100_000))
+        self._quick_stop = od.variable(0x6085, unsigned("Quick stop deceleration", value=1_000_000))
+        od.variable(0x6086, Entry("Motion profile type", INTEGER16, low=0, high=0))
+        od.variable(0x6502, Entry("Supported drive modes", UNSIGNED32, "ro", 1))
+        self._build_outputs()
+
+    def _build_outputs(self) -> None:
+        od, module, trace = self.dictionary, self.module, self.trace
+        od.record(
+            0x2193,
+            *(
+                Entry(
+                    f"Output {n} configuration",
+                    OUTPUT_BYTES,
+                    check=self._check_output,
+                    write=partial(self._on_output, pin),
+                )
+                for n, pin in enumerate(self.pins, 1)
+            ),
+        )
+
+        def register(index: int, name: str, **hooks: object) -> None:
+            od.variable(index, Entry(name, **hooks))  # type: ignore[arg-type]
+
+        def value(number: int, new: int) -> None:
+            module.values[number] = new
+
+        register(0x2160, "Compare module configuration", type=UNSIGNED32, high=0x1F,
+                 read=lambda: module.configuration, write=self._on_module)
+        register(0x2161, "Compare module status", type=UNSIGNED32,
+                 read=lambda: module.status(self.now_us), write=self._on_clear)
+        for n in (0, 1):
+            register(0x2162 + n, f"Compare value {n}", type=INTEGER32,
+                     read=lambda n=n: module.values[n], write=partial(value, n))
+        register(0x2164, "Compare increment", type=INTEGER32,
+                 write=lambda new: setattr(module, "increment", new))
+        register(0x2165, "Compare pulse period", type=UNSIGNED32,
+                 write=lambda new: setattr(module, "pulse_period", new))
+        register(0x250A, "Reserved trace memory", type=UNSIGNED16, high=trace.size,
+                 read=lambda: trace.reserved, write=trace.reserve)
+        register(0x250B, "Offset into the reserved trace memory", type=UNSIGNED16,
+                 read=lambda: trace.offset, write=lambda new: setattr(trace, "offset", new))
+
+    def _check_output(self, value: int) -> None:
+        """Bits 9–11 and 15 of the configuration word are reserved, bits 12–13 another axis."""
+        if value & 0xBE00 or value & 0xFF not in (4, 5, 6, 7, 9, 16):
+            raise SdoAbort(AbortCode.VALUE_RANGE)
+
+    def _on_output(self, pin: SoftwarePin, value: int) -> None:
+        pin.configure(OUTPUT_BYTES.pack(value))
+        self._sample(pin)
+
+    def _on_module(self, value: int) -> None:
+        self.module.configure(value)
+        self.module.stand(self.position_actual)
+
+    def _on_clear(self, value: int) -> None:
+        self.module.matches &= ~value
+
+    # --- state machine (CiA 402) --------------------------------------------------------
+
+    def _reset_application(self) -> None:
+        self.state = State.SWITCH_ON_DISABLED
+        self._word = 0
+        self._acknowledged = False
+        self._setpoint: int | None = None
+        self._next_setpoint: int | None = None
+        self._profile = None
+        self._commanded = self._shaft
+        self.module.reset()
+        self.trace.reserve(0)
+        for pin in self.pins:
+            pin.configure(bytes(10))
+        self._tick_us = INF if self._moved is None else self.now_us
+
+    def _on_controlword(self, word: int) -> None:
+        last, self._word = self._word, word
+        if self.state is State.FAULT:
+            if word & ~last & Control.FAULT_RESET:
+                self.state = State.SWITCH_ON_DISABLED
+                self.clear_emergency()
+        elif not word & Control.ENABLE_VOLTAGE:
+            self._switch_off(State.SWITCH_ON_DISABLED)
+        elif not word & Control.QUICK_STOP:
+            self._stop_quickly()
+        elif self.state is not State.QUICK_STOP_ACTIVE:
+            self._command(last, word)
+        self._dirty = True
+
+    def _command(self, last: int, word: int) -> None:
+        if not word & Control.SWITCH_ON:
+            self._switch_off(State.READY_TO_SWITCH_ON)
+        elif self.state is State.SWITCH_ON_DISABLED:
+            pass  # it takes "shutdown" first
+        elif not word & Control.ENABLE_OPERATION:
+            self._switch_off(State.SWITCHED_ON)
+        elif self.state is not State.OPERATION_ENABLED:
+            self.state = State.OPERATION_ENABLED
+            self._commanded = float(self.position_actual)
+            self._setpoint = self._next_setpoint = None
+            self._acknowledged = False
+        else:
+            self._command_profile(last, word)
+
+    def _switch_off(self, state: State) -> None:
+        self.state = state
+        self._profile, self._next_setpoint = None, None
+        self._acknowledged = False
+        if self._moved is None:
+            self._commanded = self._shaft
+            self._velocity, self._tick_us = 0.0, INF
+
+    def _stop_quickly(self) -> None:
+        if self.state is State.OPERATION_ENABLED:
+            self.state = State.QUICK_STOP_ACTIVE
+            self._next_setpoint = None
+            self._decelerate(self._quick_stop)
+        elif self.state is not State.QUICK_STOP_ACTIVE:
+            self._switch_off(State.SWITCH_ON_DISABLED)
+
+    def _on_communication_error(self, code: int) -> None:
+        if self.state in _POWERED:
+            self._switch_off(State.FAULT)
+        self.state = State.FAULT
+        self.emergency(code)
+
+    # --- profile position mode (CiA 402) ------------------------------------------------
+
+    def _command_profile(self, last: int, word: int) -> None:
+        if (word ^ last) & Control.HALT:
+            if word & Control.HALT:
+                self._decelerate(self._deceleration)
+            elif self._setpoint is not None:
+                self._go_to(self._setpoint)
+        if word & ~last & Control.NEW_SETPOINT and not self._acknowledged:
+            self._take_setpoint(word)
+        if not word & Control.NEW_SETPOINT and self._next_setpoint is None:
+            self._acknowledged = False
+
+    def _take_setpoint(self, word: int) -> None:
+        """One outside the limits is not acknowledged."""
+        target = self._target.value
+        if word & Control.RELATIVE:
+            target += round(self._commanded) if self._setpoint is None else self._setpoint
+        low, high = (limit.value for limit in self._limits)
+        if not low <= target <= high:
+            return
+        self._acknowledged = True
+        if self._profile is not None and not word & Control.CHANGE_IMMEDIATELY:
+            self._next_setpoint = target
+            return
+        self._setpoint, self._next_setpoint = target, None
+        if not word & Control.HALT:
+            self._go_to(target)
+
+    def _go_to(self, target: int) -> None:
+        position, velocity = self._demand(self.now_us)
+        self._follow_profile(
+            trapezoid(
+                position,
+                velocity,
+                target,
+                self._speed.value * VELOCITY_UNIT,
+                self._acceleration.value * ACCELERATION_UNIT,
+                self._deceleration.value * ACCELERATION_UNIT,
+            )
+        )
+
+    def _decelerate(self, deceleration: Entry) -> None:
+        position, velocity = self._demand(self.now_us)
+        self._follow_profile(stop(position, velocity, deceleration.value * ACCELERATION_UNIT))
+
+    def _follow_profile(self, profile: Profile) -> None:
+        self._profile, self._profile_us = profile, self.now_us
+        if self._tick_us == INF:
+            self._loop_us = self.now_us
+            self._tick_us = self.now_us + LOOP_US / self.rate
+
+    def _demand(self, t_us: float) -> tuple[float, float]:
+        """Commanded position and velocity [counts, counts/ms]."""
+        if self._profile is None:
+            return self._commanded, 0.0
+        return self._profile.at((t_us - self._profile_us) / 1000 * self.rate)
+
+    # --- position loop ------------------------------------------------------------------
+
+    def _tick(self) -> None:
+        self._run_loop()
+
+    def _run_loop(self) -> None:
+        """What happens once in a loop, at `now_us`."""
+        begin_us, self._loop_us = self._loop_us, self.now_us
+        before = self._shaft
+        self._step_axis()
+        if self._quadrature:
+            self._see(before, self._shaft, begin_us, self.now_us)
+        else:  # taken back to what the encoder says, then on from there
+            count = float(self.position_actual)
+            self._see(self._extrapolated, count, self.now_us, self.now_us)
+            end = count + self._velocity * LOOP_US / 1000
+            self._extrapolated = math.nextafter(end, count)  # then comes the next sample
+            next_us = self.now_us + LOOP_US / self.rate
+            self._see(count, self._extrapolated, self.now_us, next_us)
+        for pin in self.pins:
+            self._sample(pin)
+        resting = self._moved is None and self._profile is None and self._shaft == before
+        self._tick_us = INF if resting else self.now_us + LOOP_US / self.rate
+
+    def _sample(self, pin: SoftwarePin) -> None:
+        count = round(self._commanded) if pin.commanded else self.position_actual
+        pin.sample(count, self.now_us)
+
+    def _step_axis(self) -> None:
+        if self._moved is not None:
+            self._shaft, velocity = self._moved(self.now_us)
+            self._velocity = velocity / 1000
+            self._commanded = self._shaft
+            return
+        self._commanded, velocity = self._demand(self.now_us)
+        if self._follow < 1.0:
+            step = (self._commanded - self._shaft) * self._follow
+            self._shaft += step
+            velocity = step / LOOP_US * 1000
+            if abs(self._commanded - self._shaft) < 1e-3 and self._profile is None:
+                self._shaft = self._commanded
+        else:
+            self._shaft = self._commanded
+        self._velocity = velocity
+        profile = self._profile
+        if profile is not None:
+            elapsed_ms = (self.now_us - self._profile_us) / 1000 * self.rate
+            if elapsed_ms >= profile.duration_ms:
+                self._arrive()
+
+    def _arrive(self) -> None:
+        self._profile = None
+        self._dirty = True
+        if self._next_setpoint is not None:
+            self._setpoint, self._next_setpoint = self._next_setpoint, None
+            if not self._word & Control.NEW_SETPOINT:
+                self._acknowledged = False
+            self._go_to(self._setpoint)
+
+    def _see(self, start: float, end: float, begin_us: float, end_us: float) -> None:
+        """The compare module sees the position go from `start` to `end`, evenly."""
+
+        def when_us(value: int) -> float:
+            share = (value - self._offset - start) / (end - start) if end != start else 1.0
+            return begin_us + min(max(share, 0.0), 1.0) * (end_us - begin_us)
+
+        count = math.floor(end + self._offset)
+        self.seen = (min(self.seen[0], count), max(self.seen[1], count))
+        self.module.move(count, when_us)
+
+
+class _WithTraceData(ObjectDictionary):
+    """The dictionary with 0x250C, which takes one 32-bit position in a write, or many."""
+
+    def __init__(self, dictionary: ObjectDictionary, trace: TraceMemory) -> None:
+        super().__init__()
+        self._dictionary = dictionary
+        self._trace = trace
+        self._data = dictionary.variable(0x250C, Entry("Trace data", UNSIGNED32, "wo"))
+
+    def upload(self, index: int, subindex: int) -> bytes:
+        return self._dictionary.upload(index, subindex)
+
+    def check_download(self, index: int, subindex: int, size: int | None) -> Entry:
+        if (index, subindex) == (0x250C, 0):
+            return self._data
+        return self._dictionary.check_download(index, subindex, size)
+
+    def download(self, index: int, subindex: int, data: bytes) -> None:
+        if (index, subindex) != (0x250C, 0):
+            self._dictionary.download(index, subindex, data)
+        elif not self._trace.fits(data):
+            raise SdoAbort(AbortCode.LENGTH_MISMATCH)
+        else:
+            self._trace.write(data)
