@@ -50,7 +50,7 @@ def join(
         return current.followed_by(
             _stream(current, trajectory.positions[0], axes, state, limits, at_ms, due_s), at_ms
         )
-    if current.end_ms <= at_ms <= start_ms and trajectory.times_s[0] == 0:
+    if current.rests(at_ms) and at_ms <= start_ms and trajectory.times_s[0] == 0:
         _check_start(trajectory, axes, state, limits, start_tolerance)
     curve = _placed(trajectory, axes, state, limits, at_s, start_s)
     check(curve, limits, start_s)
@@ -107,23 +107,21 @@ def _stream(
     at_ms: int,
     due_s: float,
 ) -> Stream:
-    """On to a streamed point: a further step, or at first a crossing to it."""
+    """On to a streamed point: a further step, or a transition where that is not possible."""
     at_s = at_ms / 1000
-    going_on = current.motions[-1]
-    if current.end_ms <= at_ms:
+    going_on = current.governs(at_ms)
+    stream = None
+    if current.rests(at_ms):
         stream = Stream.after(Curve.resting(state.position))
-    elif isinstance(going_on, Stream) and (not current.starts_ms or at_ms >= current.starts_ms[-1]):
+    elif isinstance(going_on, Stream):
         stream = going_on
-    else:
-        rest = resting_place(state, limits)
-        rest[axes] = point
-        check(Curve.resting(rest), limits)
-        way = cross(Curve.resting(rest), state, limits, at_s, _same(current), due_s - at_s)
-        return Stream.after(way)
-    target = stream.target.copy()
+    target = resting_place(state, limits) if stream is None else stream.target.copy()
     target[axes] = point
-    check(Curve.resting(target), limits)
-    return stream.to(target, limits, at_s, due_s)
+    rest = Curve.resting(target)
+    check(rest, limits)
+    return (stream and stream.to(target, limits, at_s, due_s)) or Stream.after(
+        cross(rest, state, limits, at_s, _same(current), max(due_s - at_s, 0.0))
+    )
 
 
 def _check_start(

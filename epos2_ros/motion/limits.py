@@ -114,11 +114,13 @@ def check(curve: Curve, limits: Limits, zero_s: float = 0.0) -> None:
         allowed = bounds + RELATIVE_SLACK * np.abs(bounds)
     value, when = _peaks(_pieces(curve), allowed, ROUNDING)
     for order, quantity in enumerate(("position", "velocity", "acceleration")):
-        over = value[order] - bounds[order]
-        if np.isneginf(over).all():
+        beyond = np.isfinite(value[order])
+        if not beyond.any():
             continue
-        relative = over / np.maximum(np.abs(bounds[order]), 1e-9)
-        side, joint = np.unravel_index(np.argmax(relative), over.shape)
+        over = np.full(beyond.shape, -np.inf)
+        bound = bounds[order][beyond]
+        over[beyond] = (value[order][beyond] - bound) / np.maximum(np.abs(bound), 1e-9)
+        side, joint = np.unravel_index(np.argmax(over), over.shape)
         unit = limits.units[joint] + ("", "/s", "/s²")[order]
         worst = value[order, side, joint] * (1, -1)[side]
         raise TrajectoryError(

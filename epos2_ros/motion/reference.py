@@ -94,6 +94,14 @@ class Reference:
             value[mine] = self.motions[i].evaluate(t_s[mine], derivative)
         return value
 
+    def governs(self, at_ms: int) -> Motion:
+        """The motion that governs at a millisecond."""
+        return self.motions[bisect_right(self.starts_ms, at_ms)]
+
+    def rests(self, at_ms: int) -> bool:
+        """Whether the axes stand at a millisecond, and would go on standing."""
+        return self.governs(at_ms).end_s <= at_ms / 1000 + 1e-9
+
     def followed_by(self, motion: Motion, at_ms: int) -> Reference:
         """This reference until `at_ms`, then `motion`."""
         keep = bisect_right(self.starts_ms, at_ms - 1)

@@ -64,8 +64,7 @@ def stop(current: Reference, from_ms: int, limits: Limits) -> Reference:
 
     As short as `limits.agility` allows. A stop in progress goes on as it is.
     """
-    stopping = isinstance(current.motions[-1], Slowed) and from_ms >= current.starts_ms[-1]
-    if stopping or from_ms >= current.end_ms:
+    if from_ms >= current.end_ms or isinstance(current.governs(from_ms), Slowed):
         return current
     path = current.trimmed(from_ms)
     return current.followed_by(_brake(path, from_ms / 1000, limits.agility * _SHARE), from_ms)

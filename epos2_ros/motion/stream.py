@@ -17,15 +17,15 @@ from numpy.typing import NDArray
 
 from epos2_ros.errors import TrajectoryError
 from epos2_ros.motion.curve import Curve, hermite
-from epos2_ros.motion.limits import Limits
+from epos2_ros.motion.limits import RELATIVE_SLACK, Limits
 from epos2_ros.motion.reference import Motion
 from epos2_ros.motion.trajectory import Trajectory
-from epos2_ros.motion.transition import GRACE_S
 
 Array = NDArray[np.float64]
 
 HORIZON_S = 0.25  # a single point due within this time is one of a stream
 WINDOW_S = 0.1  # steps take at least this long, to overlap when the points are near ahead
+_STRETCHES = (1.0, 1.25, 1.5, 2.0, 3.0)  # how much longer a step may take
 _SHARE = 0.999  # of the limits, for what lies between the milliseconds
 _STEP = ((np.zeros(1), np.ones(1)), (np.zeros(1),) * 2, (np.zeros(1),) * 2)
 
@@ -65,37 +65,46 @@ class Stream:
         rest = self.target - self.steps.sum(axis=0)
         return value + (rest - self._base_end) + share @ self.steps
 
-    def to(self, target: Array, limits: Limits, at_s: float, due_s: float) -> Stream:
+    def to(self, target: Array, limits: Limits, at_s: float, due_s: float) -> Stream | None:
         """The same until `at_s`, then on to `target` [axes], which is due at `due_s`.
 
-        Arrives later by up to GRACE_S if the accelerations would else be too high; raises
-        TrajectoryError if even that is not enough, or if the step asks for a speed over
-        the limit.
+        Takes longer if the acceleration limits need it; None if that is not enough. Raises
+        TrajectoryError when the step from the last point asks for more than the velocity
+        limit.
         """
         shortest_s = max(due_s - at_s, WINDOW_S)
         step = target - self.target
         speed = np.abs(step) / shortest_s
-        if (speed > limits.velocity).any():
+        if (speed > limits.velocity * (1 + RELATIVE_SLACK)).any():
             joint = int(np.argmax(speed / limits.velocity))
+            unit = limits.units[joint]
             raise TrajectoryError(
-                f"joint '{limits.joints[joint]}': a step of {step[joint]:.4g} "
-                f"{limits.units[joint]} in {shortest_s:.3f} s is faster than "
-                f"{limits.velocity[joint]:.6g} {limits.units[joint]}/s"
+                f"joint '{limits.joints[joint]}': velocity {speed[joint]:.6g} {unit}/s needed to "
+                f"reach point 0, allowed {limits.velocity[joint]:.6g} {unit}/s"
             )
         running = self._running(at_s)
-        for duration_s in _durations(shortest_s):
-            longer = replace(
-                running,
-                target=target,
-                starts_s=np.append(running.starts_s, at_s),
-                durations_s=np.append(running.durations_s, duration_s),
-                steps=np.vstack((running.steps, step)),
+        # The drives evaluate nothing between the milliseconds.
+        t_s = at_s + np.arange(round(shortest_s * _STRETCHES[-1] * 1000)) / 1000
+        velocity, acceleration = (running.evaluate(t_s, order) for order in (1, 2))
+        for duration_s in shortest_s * np.array(_STRETCHES):
+            added = Stream(
+                Curve.resting(np.zeros_like(step)),
+                step,
+                np.array([at_s]),
+                np.array([duration_s]),
+                step[None, :],
             )
-            if longer._keeps(limits, at_s, duration_s):
-                return longer
-        raise TrajectoryError(
-            f"the streamed point is too far ahead to be reached within {duration_s:.1f} s"
-        )
+            if (np.abs(velocity + added.evaluate(t_s, 1)) <= limits.velocity * _SHARE).all() and (
+                np.abs(acceleration + added.evaluate(t_s, 2)) <= limits.acceleration * _SHARE
+            ).all():
+                return replace(
+                    running,
+                    target=target,
+                    starts_s=np.append(running.starts_s, at_s),
+                    durations_s=np.append(running.durations_s, duration_s),
+                    steps=np.vstack((running.steps, step)),
+                )
+        return None
 
     def _running(self, at_s: float) -> Stream:
         """What of it is still going on at `at_s`."""
@@ -111,18 +120,6 @@ class Stream:
             steps=self.steps[on],
         )
 
-    def _keeps(self, limits: Limits, at_s: float, duration_s: float) -> bool:
-        """Whether the limits are kept at every millisecond, which is all a drive looks at."""
-        t_s = at_s + np.arange(round(duration_s * 1000)) / 1000
-        return bool(
-            (np.abs(self.evaluate(t_s, 1)) <= limits.velocity * _SHARE).all()
-            and (np.abs(self.evaluate(t_s, 2)) <= limits.acceleration).all()
-        )
-
     @property
     def _base_end(self) -> Array:
         return self.base.evaluate(np.array([self.base.end_s]))[0]
-
-
-def _durations(shortest_s: float) -> Array:
-    return np.geomspace(shortest_s, shortest_s + GRACE_S, 16)

@@ -6,9 +6,11 @@ Every refusal is one line that names the joint, the point (counted from 0) and t
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -33,7 +35,7 @@ class Trajectory:
 
     def __post_init__(self) -> None:
         if len(self.times_s):
-            self._check_joint_names()
+            _check_joint_names(self.joint_names)
             self._check_values()
             self._check_times()
             self._check_rest()
@@ -61,8 +63,8 @@ class Trajectory:
         points, stamp = message.points, message.header.stamp
         return cls._from_points(
             tuple(message.joint_names),
-            [p.time_from_start.sec + p.time_from_start.nanosec * 1e-9 for p in points],
-            {field: [getattr(point, field) for point in points] for field in _FIELDS},
+            [time.sec + time.nanosec * 1e-9 for time in (p.time_from_start for p in points)],
+            {field: list(map(attrgetter(field), points)) for field in _FIELDS},
             stamp.sec + stamp.nanosec * 1e-9,
         )
 
@@ -74,6 +76,8 @@ class Trajectory:
         fields: Mapping[str, Sequence[Sequence[float]]],
         stamp_s: float,
     ) -> Trajectory:
+        if times_s:
+            _check_joint_names(joint_names)
         arrays = {name: _matrix(name, rows, joint_names) for name, rows in fields.items()}
         if times_s and arrays["positions"] is None:
             raise TrajectoryError("point 0 has no positions")
@@ -113,16 +117,6 @@ class Trajectory:
                 TrajectoryError.INVALID_JOINTS,
             )
         return [place[name] for name in self.joint_names]
-
-    def _check_joint_names(self) -> None:
-        if not self.joint_names:
-            raise TrajectoryError("joint_names is empty", TrajectoryError.INVALID_JOINTS)
-        for i, name in enumerate(self.joint_names):
-            if name in self.joint_names[:i]:
-                raise TrajectoryError(
-                    f"joint '{name}' is named twice in joint_names",
-                    TrajectoryError.INVALID_JOINTS,
-                )
 
     def _check_values(self) -> None:
         for name, values in self._given():
@@ -171,12 +165,22 @@ class Trajectory:
         return [(name, v) for name, v in zip(_FIELDS, values, strict=True) if v is not None]
 
 
+def _check_joint_names(names: Sequence[str]) -> None:
+    if not names:
+        raise TrajectoryError("joint_names is empty", TrajectoryError.INVALID_JOINTS)
+    for i, name in enumerate(names):
+        if name in names[:i]:
+            raise TrajectoryError(
+                f"joint '{name}' is named twice in joint_names", TrajectoryError.INVALID_JOINTS
+            )
+
+
 def _duration(time: Mapping[str, Any]) -> float:
     return int(time.get("sec", 0)) + int(time.get("nanosec", 0)) * 1e-9
 
 
 def _matrix(
-    name: str, rows: Sequence[Sequence[float]], joint_names: Sequence[str]
+    name: str, rows: Sequence[Any], joint_names: Sequence[str]
 ) -> NDArray[np.float64] | None:
     """Rows of a field as [points, joints]; None when no point has it."""
     lengths = np.fromiter(map(len, rows), dtype=np.int64, count=len(rows))
@@ -191,7 +195,10 @@ def _matrix(
             else f"point {point} has {lengths[point]} {name} for {len(joint_names)} joints"
         )
     try:
-        flat = np.fromiter(chain.from_iterable(rows), dtype=np.float64, count=int(lengths.sum()))
+        if isinstance(rows[0], array):  # a message's; many times faster than number by number
+            flat = np.frombuffer(b"".join(rows), dtype=np.float64)
+        else:
+            flat = np.fromiter(chain.from_iterable(rows), dtype=np.float64, count=lengths.sum())
     except (TypeError, ValueError) as error:
         raise TrajectoryError(f"{name} hold something that is not a number: {error}") from error
     return flat.reshape(len(rows), len(joint_names))
