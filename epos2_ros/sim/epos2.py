@@ -738,16 +738,24 @@ class Epos2(Slave):
             self._move_to(target)
 
     def _move_to(self, target: int) -> None:
-        speed = min(self._profile_velocity.value, self._max_velocity.value) * self._velocity_unit
         limit = self._max_acceleration.value
+        self._move(
+            target,
+            min(self._profile_velocity.value, self._max_velocity.value),
+            min(self._profile_acceleration.value, limit),
+            min(self._profile_deceleration.value, limit),
+        )
+
+    def _move(self, target: float, speed: int, acceleration: int, deceleration: int) -> None:
+        """Goes to `target`, within limits in the drive's units."""
         self._follow_profile(
             trapezoid(
                 self._demand,
                 self._demand_velocity,
                 target,
-                speed,
-                min(self._profile_acceleration.value, limit) * self._acceleration_unit,
-                min(self._profile_deceleration.value, limit) * self._acceleration_unit,
+                speed * self._velocity_unit,
+                acceleration * self._acceleration_unit,
+                deceleration * self._acceleration_unit,
             )
         )
 
@@ -792,7 +800,10 @@ class Epos2(Slave):
                 self._begin_search()
             else:
                 self._home_target = search.edge + self._machine_zero + self._home_offset.value
-                self._move_home(self._home_target)
+                acceleration = self._homing_acceleration.value
+                self._move(
+                    self._home_target, self._switch_speed.value, acceleration, acceleration
+                )
         else:
             limit = (
                 self._switches.positive_limit
@@ -802,15 +813,6 @@ class Epos2(Slave):
             if (machine - limit) * search.direction > 0:  # a limit switch before what it searches
                 self._homing_error = True
                 self._stop(self._homing_acceleration)
-
-    def _move_home(self, target: float) -> None:
-        acceleration = self._homing_acceleration.value * self._acceleration_unit
-        speed = self._switch_speed.value * self._velocity_unit
-        self._follow_profile(
-            trapezoid(
-                self._demand, self._demand_velocity, target, speed, acceleration, acceleration
-            )
-        )
 
     def _home_found(self, place: float) -> None:
         """From now on `place` is called home position (0x2081)."""

@@ -137,10 +137,11 @@ class Slave:
             return False
         self.advance(t_us)
         self.received_us = t_us
-        if not remote:
-            handler(data)
-        else:
+        if remote:
             self._remote_request(can_id)
+        else:
+            handler(data)
+        self._dirty = True
         self._dirty = True  # what a frame changes is looked at after the inhibit time, too
         self._send_events()
         self._arm()
