@@ -70,8 +70,14 @@ def test_positions_alone_do_not_overshoot_and_rest_at_both_ends():
 
 
 def test_before_and_after_the_curve_rests():
-    curve = Commanded(trajectory([0.5, 1.0], [[1.0], [2.0]]))
-    assert curve.at(np.array([0.0, 9.0, np.inf]))[:, 0] == pytest.approx([1.0, 2.0, 2.0])
+    curve = Commanded(trajectory([0.0, 1.0], [[1.0], [2.0]]))
+    assert curve.at(np.array([-1.0, 0.0, 9.0, np.inf]))[:, 0] == pytest.approx([1, 1, 2, 2])
+
+
+def test_on_the_way_to_a_later_first_point_it_leaves_from_rest():
+    """v = 0 … 1 in 1 s and back to the same place: the cubic t³ − t², lowest at 2/3."""
+    curve = Commanded(trajectory([1.0, 2.0], [[0.0], [0.5]], velocities=[[1.0], [0.0]]))
+    assert curve.at(np.array([0.0, 2 / 3, 1.0]))[:, 0] == pytest.approx([0.0, -4 / 27, 0.0])
 
 
 def test_scales_come_from_the_parameter_file(tmp_path):
@@ -274,15 +280,30 @@ def test_the_demo_runs_an_example_within_its_limits(name, options, command, exam
 
 
 def test_a_refused_trajectory_ends_the_demo_with_the_reason(command, examples, tmp_path):
-    file = tmp_path / "away.yaml"
+    file = tmp_path / "fast.yaml"
     message = yaml.safe_load((examples / "raster_scan.yaml").read_text())
-    message["points"] = message["points"][5:]  # begins where the gantry is not
+    for point in message["points"]:  # 4 m/s: 240,000 rpm
+        point["positions"] = [20 * position for position in point["positions"]]
+        point["velocities"] = [20 * velocity for velocity in point["velocities"]]
     file.write_text(yaml.safe_dump(message))
     demo = command("demo", file)
     output, _ = demo.communicate()
     assert demo.returncode == 1
     assert "trajectory refused" in output
     assert "Traceback" not in output
+
+
+def test_a_robot_of_the_demo_stands_where_the_trajectory_begins(command, tmp_path):
+    points = [
+        {"positions": [0.25, -1.0], "time_from_start": {"nanosec": 300_000_000}},
+        {"positions": [0.5, -1.5], "time_from_start": {"sec": 1}},
+    ]
+    file = tmp_path / "short.yaml"
+    file.write_text(yaml.safe_dump({"joint_names": ["a", "b"], "points": points}))
+    demo = command("demo", file, "--output", "short.png")
+    output, _ = demo.communicate()
+    assert demo.returncode == 0, output
+    assert (tmp_path / "short.png").exists()
 
 
 def test_a_file_that_is_no_trajectory_is_one_line(command, tmp_path):

@@ -63,7 +63,8 @@ def _flatten(section: Mapping[str, Any], prefix: str, into: dict[str, Any]) -> N
 def scales(parameters: Mapping[str, Any]) -> list[Scale]:
     """The joints of a parameter file, with the driver's defaults where it says nothing."""
     result = []
-    for place, joint in enumerate(parameters["joints"], start=1):
+    joints = parameters.get("joints", [f"joint_{n}" for n in range(1, 7)])
+    for place, joint in enumerate(joints, start=1):
 
         def value(name: str, default: Any, joint: str = joint) -> Any:
             return parameters.get(f"axes.{joint}.{name}", default)
@@ -83,12 +84,19 @@ def scales(parameters: Mapping[str, Any]) -> list[Scale]:
 
 
 class Commanded:
-    """The curve through a trajectory's points, resting at its first and last one outside."""
+    """The curve through a trajectory's points; the axes rest where it begins and ends.
+
+    If its first point has a time_from_start, they rest at time 0 and leave then.
+    """
 
     def __init__(self, trajectory: Trajectory) -> None:
-        times = trajectory.times_s
-        positions, accelerations = trajectory.positions, trajectory.accelerations
-        velocities = trajectory.velocities
+        times, positions = trajectory.times_s, trajectory.positions
+        velocities, accelerations = trajectory.velocities, trajectory.accelerations
+        if times[0] > 0:
+            times, positions = np.append(0.0, times), np.vstack((positions[:1], positions))
+            rest = np.zeros_like(positions[:1])
+            velocities = None if velocities is None else np.vstack((rest, velocities))
+            accelerations = None if accelerations is None else np.vstack((rest, accelerations))
         if velocities is None:
             velocities = _shape_preserving(times, positions)
         self._times = times

@@ -83,7 +83,8 @@ def run(arguments: argparse.Namespace, terminal: Terminal) -> int:
     with tempfile.TemporaryDirectory(prefix="epos2_ros_demo_") as folder:
         scratch = Path(folder)
         params = arguments.params or parameter_file(trajectory.joint_names, scratch)
-        machine = Machine(params, scratch)
+        start = dict(zip(trajectory.joint_names, trajectory.positions[0], strict=True))
+        machine = Machine(params, start, scratch)
         terminal.line(
             f"{file.name}: {len(trajectory.times_s)} points, {trajectory.duration_s:.1f} s, "
             f"joints {', '.join(trajectory.joint_names)}"
@@ -112,10 +113,14 @@ def run(arguments: argparse.Namespace, terminal: Terminal) -> int:
 
 
 class Machine:
-    """The driver and simulated drives, as a parameter file describes them."""
+    """The driver and simulated drives, as a parameter file describes them.
 
-    def __init__(self, params: Path, scratch: Path) -> None:
-        self.parameters = read_parameters(params)
+    The robot stands at `start` by joint [unit]: simulated drives read 0 at first.
+    """
+
+    def __init__(self, params: Path, start: Mapping[str, float], scratch: Path) -> None:
+        self._offsets = {f"axes.{joint}.offset": float(start[joint]) for joint in start}
+        self.parameters = {**read_parameters(params), **self._offsets}
         self.scales = scales(self.parameters)
         self.domain_id = ros_domain()
         self.log = scratch / "executed.npz"
@@ -149,7 +154,8 @@ class Machine:
 
     def _driver(self, settings: Mapping[str, str]) -> Child:
         arguments = ["--ros-args", "--params-file", str(self._params)]
-        for name, value in {**settings, "status_rate": "20.0"}.items():
+        offsets = {name: f"{value:.15f}" for name, value in self._offsets.items()}
+        for name, value in {**offsets, **settings, "status_rate": "20.0"}.items():
             arguments += ["-p", f"{DRIVER}:{name}:={value}"]
         return Child("driver", arguments, self._env)
 

@@ -135,6 +135,8 @@ class Report:
         """`joints` are the trajectory's, in the order of its columns."""
         axes = []
         for scale in scales:
+            if scale.joint not in joints:
+                continue  # it holds
             column = joints.index(scale.joint)
             executed = Executed.load(log, scale.node_id)
             t_s = executed.path_ms / 1000.0
