@@ -1,15 +1,12 @@
 """The driver at work: one bus, one group of axes, real time.
 
-Everything that has state is touched under one lock: frames come in on the notifier's thread,
-requests on the caller's, and a timer thread keeps the deadlines of the group and the
-transmitter. What blocks (SDO) runs on a worker; what may take long (checking a trajectory) on
-the caller's thread, outside the lock, so that feeding never waits for a callback.
+The reactor's thread owns group, path and link; frames, requests and deadlines all come to it as
+jobs. What blocks (SDO) runs on a worker, so that feeding never waits for an answer.
 """
 
 from __future__ import annotations
 
 import math
-import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -18,6 +15,7 @@ from dataclasses import dataclass
 
 from epos2_ros.bus.bringup import Epos2Node
 from epos2_ros.bus.link import Link, open_bus
+from epos2_ros.bus.reactor import Reactor
 from epos2_ros.bus.settings import axis_setup, drive_settings, group_settings
 from epos2_ros.bus.timestamps import now_us, wall_offset_us
 from epos2_ros.config import DriverConfig
@@ -83,10 +81,7 @@ class Driver:
     ) -> None:
         self._config = config
         self._on_event = on_event
-        self._lock = threading.RLock()
-        self._wake = threading.Event()
-        self._sleeping_until_us = -math.inf
-        self._closing = False
+        self._reactor = Reactor(self._step)
         self._units = [AxisUnits.of(axis) for axis in config.axes]
         self._simulation: Simulation | None = None
         self._link: Link | None = None
@@ -95,7 +90,6 @@ class Driver:
         self._path = PathCommander(self._group, config)
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="sdo")
         self._announcer = ThreadPoolExecutor(1, thread_name_prefix="events")
-        self._timer = threading.Thread(target=self._keep_time, name="reactor", daemon=True)
 
     # ------------------------------------------------------------------ life
 
@@ -119,11 +113,11 @@ class Driver:
                 )
         if self._config.simulate:
             self._simulation = Simulation(self._config)
+        self._reactor.start()
         self._open()
         for index in range(len(self._nodes)):
             self._bring_up(index)
-        self._start_clock()
-        self._timer.start()
+        self._reactor.call(self._start_clock)
 
     def _open(self) -> None:
         config = self._config
@@ -133,29 +127,23 @@ class Driver:
             config.bitrate,
             self._on_frame,
             self._on_failure,
-            self._lock,
+            self._reactor.post,
         )
         self._nodes = [
             Epos2Node(self._link.network, drive_settings(axis, config)) for axis in config.axes
         ]
 
     def _start_clock(self) -> None:
-        with self._lock:
-            self._group.start_clock(now_us(), time_of_day(time.time()))
-            self._step()
+        self._group.start_clock(now_us(), time_of_day(time.time()))
 
     def _bring_up(self, index: int) -> None:
         statusword = self._nodes[index].configure()
-        with self._lock:
-            self._group.reconfigured(index, statusword, now_us())
+        self._reactor.call(lambda: self._group.reconfigured(index, statusword, now_us()))
 
     def close(self) -> None:
         """Close the bus. Drives that are still enabled stop on the host's missing heartbeat."""
-        self._closing = True
-        self._wake.set()
-        if self._timer.is_alive():
-            self._timer.join()
         self._worker.shutdown()
+        self._reactor.stop()
         self._announcer.shutdown()
         if self._link is not None:
             self._link.close()
@@ -166,13 +154,13 @@ class Driver:
 
     def enable(self) -> None:
         """Every axis to "operation enabled", holding. DriveError says which axis is where."""
-        self._wait(self._request(self._group.enable), "enable")
+        self._wait(self._reactor.call(self._group.enable), "enable")
 
     def disable(self) -> None:
         """Stop on the path, then switch every axis off."""
         if self._moving():
             self.stop_on_path()
-        self._wait(self._request(self._group.disable), "disable")
+        self._wait(self._reactor.call(self._group.disable), "disable")
 
     def submit(self, trajectory: Trajectory) -> None:
         """Run a trajectory, or stop on the path if it has no points. TrajectoryError: refused."""
@@ -182,15 +170,11 @@ class Driver:
         start_us = None
         if trajectory.stamp_s:
             start_us = trajectory.stamp_s * 1e6 + wall_offset_us()
-        with self._lock:
-            self._path.submit(trajectory, start_us, now_us())
-            self._step()
+        self._reactor.call(lambda: self._path.submit(trajectory, start_us, now_us()))
 
     def stop_on_path(self) -> None:
         """All axes slow down together along the commanded path; returns when they stand."""
-        with self._lock:
-            motion = self._path.stop()
-            self._step()
+        motion = self._reactor.call(self._path.stop)
         if motion is not None:
             try:
                 self._wait(motion, "stop")
@@ -199,53 +183,53 @@ class Driver:
 
     def halt(self) -> None:
         """Each axis stops at once on its own ramp, off the path, and holds."""
-        self._wait(self._request(self._group.halt), "halt")
+        self._wait(self._reactor.call(self._group.halt), "halt")
 
     def quick_stop(self) -> None:
         """Each axis stops on its quick stop ramp and leaves "operation enabled"."""
-        self._wait(self._request(self._group.quick_stop), "quick stop")
+        self._wait(self._reactor.call(self._group.quick_stop), "quick stop")
 
     def reset_fault(self) -> None:
         """Reopen a bus that failed, bring restarted or lost drives up again, reset every fault.
 
         The axes stay off.
         """
-        with self._lock:
-            link, lost = self._link, self._group.lost_axes()
-            if link is not None and link.failed:
-                lost = list(range(len(self._nodes)))
-        if link is not None and link.failed:
-            link.close()
+        lost = self._reactor.call(self._group.lost_axes)
+        if self._link is not None and self._link.failed:
+            self._link.close()
             self._open()
+            lost = list(range(len(self._nodes)))
         for index in lost:
             self._bring_up(index)
         if lost:
-            self._start_clock()
-        self._wait(self._request(self._group.reset_fault), "reset fault")
+            self._reactor.call(self._start_clock)
+        self._wait(self._reactor.call(self._group.reset_fault), "reset fault")
 
     def snapshot(self) -> Snapshot:
         """Everything the topics show."""
-        with self._lock:
-            path_ms = self._group.path_ms(now_us())
-            moving = self._group.phase in IN_MOTION
-            axes = tuple(
-                self._axis_snapshot(axis, units, path_ms if moving else math.inf)
-                for axis, units in zip(self._group.axes, self._units, strict=True)
-            )
-            link = self._link
-            return Snapshot(
-                axes=axes,
-                state=self._group.phase.value,
-                reason=self._group.reason,
-                bus_load=link.load if link else 0.0,
-                sync_count=self._group.sync_count,
-                sync_time_source=link.time_source if link else "",
-                dropped_frames=link.dropped if link else 0,
-                error_frames=link.error_frames if link else 0,
-                refused_frames=link.refused if link else 0,
-            )
+        return self._reactor.call(self._snapshot)
 
     # ------------------------------------------------------------------ inside
+
+    def _snapshot(self) -> Snapshot:
+        path_ms = self._group.path_ms(now_us())
+        if self._group.phase not in IN_MOTION:
+            path_ms = math.inf
+        link = self._link
+        return Snapshot(
+            axes=tuple(
+                self._axis_snapshot(axis, units, path_ms)
+                for axis, units in zip(self._group.axes, self._units, strict=True)
+            ),
+            state=self._group.phase.value,
+            reason=self._group.reason,
+            bus_load=link.load if link else 0.0,
+            sync_count=self._group.sync_count,
+            sync_time_source=link.time_source if link else "",
+            dropped_frames=link.dropped if link else 0,
+            error_frames=link.error_frames if link else 0,
+            refused_frames=link.refused if link else 0,
+        )
 
     def _axis_snapshot(self, axis: Axis, units: AxisUnits, path_ms: float | None) -> AxisSnapshot:
         nan = math.nan
@@ -273,16 +257,7 @@ class Driver:
         )
 
     def _moving(self) -> bool:
-        with self._lock:
-            return self._group.phase in IN_MOTION
-
-    def _request(self, ask: Callable[[], Future[None]]) -> Future[None]:
-        if self._link is None:
-            raise DriveError("the bus is not open: configure first")
-        with self._lock:
-            answer = ask()
-            self._step()
-        return answer
+        return self._reactor.call(lambda: self._group.phase in IN_MOTION)
 
     @staticmethod
     def _wait(answer: Future[None], what: str) -> None:
@@ -293,36 +268,37 @@ class Driver:
 
     def _on_frame(self, frame: Frame, t_us: float, echo: bool) -> None:
         self._group.receive(frame, t_us, echo)
-        self._step()
+        self._group.advance(now_us())
+        self._flush()
 
     def _on_failure(self, text: str) -> None:
-        with self._lock:
-            self._group.bus_failed(text)
-            self._step()
+        self._group.bus_failed(text)
 
-    def _step(self) -> None:
-        """With the lock held: let the group act, and carry out what it asks for."""
+    def _step(self) -> float:
+        """What is due, in the reactor; when it is to be called next [host µs]."""
+        link = self._link
+        if link is not None:
+            link.pump()
+            if link.stalled:
+                self._group.bus_failed(
+                    f"{link.name} no longer puts frames on the bus: check the cable, its "
+                    "termination and whether any drive is powered"
+                )
         now = now_us()
-        if self._link is not None and self._link.stalled:
-            self._group.bus_failed(
-                f"{self._link.name} no longer puts frames on the bus: check the cable, its "
-                "termination and whether any drive is powered"
-            )
         self._path.advance(now)
         self._group.advance(now)
-        outbox, link = self._group.outbox, self._link
-        while outbox and link is not None:
-            link.send(outbox.popleft())
+        self._flush()
+        deadline = min(self._group.deadline_us, now + IDLE_US)
+        return min(deadline, link.deadline_us) if link is not None else deadline
+
+    def _flush(self) -> None:
+        """Carry out what the group asks for."""
+        while self._group.outbox and self._link is not None:
+            self._link.send(self._group.outbox.popleft())
         while self._group.clearing:
             self._worker.submit(self._clear_buffer, self._group.clearing.popleft())
         while self._group.events:
             self._announcer.submit(self._on_event, self._group.events.popleft())
-        if self._deadline_us() < self._sleeping_until_us:
-            self._wake.set()
-
-    def _deadline_us(self) -> float:
-        deadline = self._group.deadline_us
-        return min(deadline, self._link.deadline_us) if self._link else deadline
 
     def _clear_buffer(self, index: int) -> None:
         try:
@@ -330,21 +306,7 @@ class Driver:
             error = ""
         except DriveError as refusal:
             error = str(refusal)
-        with self._lock:
-            self._group.buffer_cleared(index, error)
-            self._step()
-
-    def _keep_time(self) -> None:
-        while not self._closing:
-            with self._lock:
-                self._wake.clear()
-                if self._link is not None:
-                    self._link.pump()
-                self._step()
-                self._sleeping_until_us = min(self._deadline_us(), now_us() + IDLE_US)
-                pause_us = self._sleeping_until_us - now_us()
-            if pause_us > 0:
-                self._wake.wait(pause_us / 1e6)
+        self._reactor.post(lambda: self._group.buffer_cleared(index, error))
 
 
 class Simulation:

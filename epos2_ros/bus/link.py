@@ -1,7 +1,7 @@
 """The CAN interface: python-can at the edge, frames with host times inside.
 
-One thread brings frames in; any thread sends, under one lock. canopen's classes use the same way
-out, so that an SDO request never gets ahead of a SYNC.
+One thread takes frames from the interface and hands each to the reactor, which alone sends.
+canopen's classes use the same way out, so that an SDO request never gets ahead of a SYNC.
 """
 
 from __future__ import annotations
@@ -44,10 +44,9 @@ class Network(canopen.Network):
 class Link:
     """An open CAN interface.
 
-    `on_frame(frame, t_us, echo)` is called in the receiving thread for every frame on the bus,
-    our own included (`echo`); adapters that do not echo get an estimate from `pump`.
-    `on_failure(text)` is called when the interface stops working. Both are called, and frames
-    are sent, with `lock` held.
+    `on_frame(frame, t_us, echo)` is called for every frame on the bus, our own included
+    (`echo`), `on_failure(text)` when the interface stops working; both by `post`, which runs a
+    job in the thread that owns this object, as everything but `network` has to be.
     """
 
     def __init__(
@@ -57,13 +56,13 @@ class Link:
         bitrate: int,
         on_frame: OnFrame,
         on_failure: Callable[[str], None],
-        lock: threading.RLock,
+        post: Callable[[Callable[[], None]], None],
     ) -> None:
         self.name = f"{interface}:{channel}"
         self.clock = ReceiveClock()
-        self.network = Network(self.send)
+        self.network = Network(lambda frame: post(lambda: self.send(frame)))
         self.error_frames = 0
-        self._lock = lock
+        self._post = post
         self._on_frame = on_frame
         self._on_failure = on_failure
         self._bitrate = bitrate
@@ -93,16 +92,14 @@ class Link:
 
     def send(self, frame: Frame) -> None:
         """Queue a frame and send what may be sent."""
-        with self._lock:
-            self._transmitter.push(frame)
-            self.pump()
+        self._transmitter.push(frame)
+        self.pump()
 
     def pump(self) -> None:
         """Send what may be sent now; call again at `deadline_us`."""
-        with self._lock:
-            for frame, t_us in self._transmitter.pump(now_us()):
-                self._count(frame, t_us)
-                self._on_frame(frame, t_us, True)
+        for frame, t_us in self._transmitter.pump(now_us()):
+            self._count(frame, t_us)
+            self._on_frame(frame, t_us, True)
 
     @property
     def deadline_us(self) -> float:
@@ -143,7 +140,7 @@ class Link:
 
     def _fail(self, text: str) -> None:
         self.failed = True
-        self._on_failure(f"{self.name} {text}")
+        self._post(lambda: self._on_failure(f"{self.name} {text}"))
 
     # ------------------------------------------------------------------ in
 
@@ -158,24 +155,23 @@ class Link:
             if message is not None:
                 self._on_message(message)
 
-    def _on_message(self, msg: can.Message) -> None:
-        if msg.is_error_frame:
+    def _on_message(self, message: can.Message) -> None:
+        if message.is_error_frame:
             self.error_frames += 1
-            return
-        if msg.is_remote_frame or msg.is_extended_id:
-            return
-        frame = Frame(msg.arbitration_id, bytes(msg.data))
-        t_us = self.clock.host_us(msg.timestamp)
-        with self._lock:
-            self._count(frame, t_us)
+        elif not (message.is_remote_frame or message.is_extended_id):
+            frame = Frame(message.arbitration_id, bytes(message.data))
             if frame == ENTER_PRE_OPERATIONAL:  # ours: there is one NMT master
                 self._echo_seen.set()
-                return
-            echo = self._transmitter.echoes and self._transmitter.on_echo(frame)
-            self._on_frame(frame, t_us, echo)
-            self.pump()
+            t_us = self.clock.host_us(message.timestamp)
+            self._post(lambda: self._take_in(frame, t_us))
+
+    def _take_in(self, frame: Frame, t_us: float) -> None:
+        self._count(frame, t_us)
+        echo = self._transmitter.echoes and self._transmitter.on_echo(frame)
+        self._on_frame(frame, t_us, echo)
+        self.pump()
         if not echo:
-            self.network.notify(msg.arbitration_id, msg.data, t_us / 1e6)
+            self.network.notify(frame.can_id, bytearray(frame.data), t_us / 1e6)
 
     # ------------------------------------------------------------------ state
 

@@ -119,7 +119,10 @@ class Fitter:
         grid = knot.k + np.arange(longest + 1)
         p = reference.positions(grid)[:, axis] - knot.position
         v = reference.velocities(grid)[:, axis]
-        for time in range(longest, 0, -1):
+        trials = [longest]
+        while trials[-1] > 1:
+            trials.append(trials[-1] * 7 // 8)
+        for time in trials:
             final = time == left
             base = np.array([round(p[time] + knot.position) - knot.position])
             speed = np.zeros(1) if final else np.round(v[time] / unit) + np.arange(-1, 2)

@@ -335,7 +335,6 @@ class Group:
         for axis in self.axes:
             axis.account = BufferAccount()
         self._enter(Phase.PRIMING)
-        self._feed()
 
     def replace(self, join: Callable[[Reference, int], Reference]) -> None:
         """Change the motion in progress: `join(current, at_ms)` gives what is commanded from
@@ -430,8 +429,11 @@ class Group:
     def _phase_deadline_us(self) -> float:
         if self.phase in (Phase.DISABLED, Phase.STANDING, Phase.FAULT):
             return math.inf
-        if self.phase is Phase.MOVING:
-            return self._feed_deadline_us()
+        if self.phase is Phase.MOVING and self.start_us is not None:
+            end_ms = self.committed_ms + END_TIMEOUT_MS
+            return self.start_us + 1000 * min(self._next_feed_ms(), end_ms)
+        if self.phase is Phase.PRIMING and self._next_feed_ms() <= 0:
+            return self._now_us
         if self.phase is Phase.PRIMING and self._planned_start_us is not None:
             arm_us = self._planned_start_us - ARM_LEAD_US
             return arm_us if arm_us > self._now_us else self._now_us + RESEND_US
@@ -538,7 +540,8 @@ class Group:
 
     def _prime(self) -> None:
         """Wait until every drive has reported every record, and for the time to arm."""
-        self._feed()
+        if self._feed():
+            return
         planned = self._planned_start_us
         missing = [
             axis
@@ -599,21 +602,30 @@ class Group:
 
     # ------------------------------------------------------------------ motion
 
-    def _feed(self) -> None:
-        """Keep `buffer_time_ms`, and never fewer than three records, ahead in every drive."""
-        path_ms = self.path_ms(self._now_us)
-        for index, axis in enumerate(self.axes):
-            account = axis.account
-            while not account.ended and self._feed_due_ms(account) <= (path_ms or 0.0):
-                try:
-                    record = self._fitter.next(index)
-                except TrajectoryError as error:
-                    self._stop_all(f"{axis}: {error}")
-                    return
-                if record is None:
-                    break
-                account.send(record)
-                self.outbox.append(axis.record(record))
+    def _feed(self) -> bool:
+        """One record for the axis that needs it most; False if none needs any.
+
+        The buffers hold `buffer_time_ms` of motion, and never fewer than three records. One at
+        a time, so that between records whoever calls looks at the bus.
+        """
+        path_ms = self.path_ms(self._now_us) or 0.0
+        index = min(
+            (i for i, axis in enumerate(self.axes) if not axis.account.ended),
+            key=lambda i: self._feed_due_ms(self.axes[i].account),
+            default=None,
+        )
+        if index is None or self._feed_due_ms(self.axes[index].account) > path_ms:
+            return False
+        axis = self.axes[index]
+        try:
+            record = self._fitter.next(index)
+        except TrajectoryError as error:
+            self._stop_all(f"{axis}: {error}")
+            return False
+        if record is not None:
+            axis.account.send(record)
+            self.outbox.append(axis.record(record))
+        return record is not None
 
     def _feed_due_ms(self, account: BufferAccount) -> float:
         """Path time at which the buffer takes the next record."""
@@ -623,11 +635,10 @@ class Group:
         )
         return max(due, account.leaves_ms(MAX_RECORDS_AHEAD))
 
-    def _feed_deadline_us(self) -> float:
-        assert self.start_us is not None
-        due = [self._feed_due_ms(axis.account) for axis in self.axes if not axis.account.ended]
-        end_ms = self.committed_ms + END_TIMEOUT_MS
-        return self.start_us + 1000 * min(due, default=end_ms)
+    def _next_feed_ms(self) -> float:
+        """Path time at which some axis takes its next record; inf when all have ended."""
+        accounts = [axis.account for axis in self.axes if not axis.account.ended]
+        return min(map(self._feed_due_ms, accounts), default=math.inf)
 
     def _move(self) -> None:
         self._feed()

@@ -1,0 +1,75 @@
+"""One thread that owns all state; everything else hands it jobs.
+
+Jobs run in the order in which they come, so no thread can starve another by holding a lock, and
+what is due by the clock runs between them.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future
+from typing import TypeVar
+
+from epos2_ros.bus.timestamps import now_us
+from epos2_ros.errors import BusError
+
+T = TypeVar("T")
+Job = Callable[[], None]
+
+
+class Reactor:
+    """Runs `step` when it is due, and jobs as they come.
+
+    `step()` does what is due and returns when it wants to be called next (host time, µs).
+    """
+
+    def __init__(self, step: Callable[[], float]) -> None:
+        self._step = step
+        self._inbox: queue.SimpleQueue[Job] = queue.SimpleQueue()
+        self._stopping = False
+        self._thread = threading.Thread(target=self._run, name="reactor", daemon=True)
+
+    def start(self) -> None:
+        """From now on jobs and `step` run."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Returns when the thread has ended; jobs that came too late are not run."""
+        if self._thread.is_alive():
+            self.post(self._end)
+            self._thread.join()
+
+    def post(self, job: Job) -> None:
+        """Run `job` soon; from any thread."""
+        self._inbox.put(job)
+
+    def call(self, function: Callable[[], T]) -> T:
+        """Run `function` in the reactor and return what it returns, or raise what it raises."""
+        if not self._thread.is_alive():
+            raise BusError("the bus is not open: configure first")
+        answer: Future[T] = Future()
+
+        def job() -> None:
+            try:
+                answer.set_result(function())
+            except Exception as error:  # handed to the caller
+                answer.set_exception(error)
+
+        self.post(job)
+        return answer.result()
+
+    def _end(self) -> None:
+        self._stopping = True
+
+    def _run(self) -> None:
+        while not self._stopping:
+            wait_s = (self._step() - now_us()) / 1e6
+            try:
+                job = self._inbox.get(timeout=max(0.0, wait_s))
+                while True:
+                    job()
+                    job = self._inbox.get_nowait()
+            except queue.Empty:
+                pass
