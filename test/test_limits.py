@@ -101,7 +101,7 @@ def test_nine_digits_at_the_limit_pass(name: str, kind: str) -> None:
     trajectory = example(name)
     curve = curve_of(trajectory)
     order = KINDS.index(kind)
-    _, value = dense(curve, order, 250)
+    _, value = dense(curve, order, 100 + 100_000 // len(curve.times_s))
 
     def limits(share: float) -> Limits:
         axes = []

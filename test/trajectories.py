@@ -73,20 +73,22 @@ def trajectories(
     joints: tuple[str, ...] = ("a", "b"),
     first_s: st.SearchStrategy[float] | None = None,
     points: tuple[int, int] = (2, 7),
+    size: float = 1.0,
+    step_s: tuple[float, float] = (0.02, 2.0),
 ) -> Trajectory:
     """Anything a message may hold that starts and ends at rest."""
     kind = draw(st.sampled_from(kinds))
     count = draw(st.integers(*points))
     start = draw(first_s) if first_s is not None else 0.0
     steps = draw(
-        st.lists(
-            st.floats(0.02, 2.0, allow_subnormal=False), min_size=count - 1, max_size=count - 1
-        )
+        st.lists(st.floats(*step_s, allow_subnormal=False), min_size=count - 1, max_size=count - 1)
     )
 
-    def values(size: float, still: bool) -> Array:
+    def values(most: float, still: bool) -> Array:
         flat = draw(
-            st.lists(numbers(size), min_size=count * len(joints), max_size=count * len(joints))
+            st.lists(
+                numbers(most * size), min_size=count * len(joints), max_size=count * len(joints)
+            )
         )
         result = np.array(flat).reshape(count, len(joints))
         if still:

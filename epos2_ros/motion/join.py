@@ -18,7 +18,7 @@ from epos2_ros.motion.transition import cross, resting_place
 Array = NDArray[np.float64]
 
 # Curves this near to each other need no crossing from one to the other.
-_SAME_QC, _SAME_QC_S = 1e-3, 1e-2
+_SAME_QC, _SAME_QC_S = 1e-4, 1e-3
 
 
 def join(
