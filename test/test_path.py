@@ -68,7 +68,7 @@ def test_replacement_without_a_stop(buffer_time):
     bench.run(1.4)
     sent_us = bench.now_us
     away_ms = (sent_us - bench.group.start_us) / 1000
-    new = move([1.0, 3.0], [[0.8, -0.2], [0.0, 0.5]])
+    new = move([1.6, 3.6], [[0.8, -0.2], [0.0, 0.5]])
     bench.path.submit(new, None, sent_us)
     run_to_end(bench)
     path = executed(bench)
@@ -84,7 +84,7 @@ def test_replacement_without_a_stop(buffer_time):
     speed = np.abs(np.diff(path, axis=0)).max(axis=1) * 1000
     assert speed[(t[1:] > 0) & (t[1:] < 0.5)].min() > 0.05
     # The new trajectory's points are where and when it says, counted from its message.
-    k = int(round(away_ms + 3000))
+    k = int(round(away_ms + 3600))
     assert len(path) == pytest.approx(k, abs=20)
 
 
