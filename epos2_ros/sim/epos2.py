@@ -4,6 +4,22 @@ Sources: maxon, application note "Interpolation Position Mode" (in the text: "th
 CiA 402 for the state machine and the modes of operation; the EPOS2 firmware
 specification for bits 8, 9 and 15 of the status word and the objects the note names only.
 Internally positions are in qc, time in ms, velocity in qc/ms, acceleration in qc/ms².
+
+Where the note leaves a choice, this drive takes the one that forgives less:
+
+- The automaton of the note's 3.2 begins whenever "operation enabled" and mode 7 come
+  together. Its transition I leaves the buffer as table 16 describes a cleared one: empty,
+  access disabled.
+- Records are taken only in that automaton and with access enabled. Others are refused: by
+  SDO with "device state", by PDO without an answer (`refused_records` counts them).
+- The segment in execution has left the buffer. With ip mode active two records have to be
+  in it, unless the end record is among them.
+- Velocity and acceleration of a segment are judged when it begins, all of it. Their
+  warnings last as long as the segment, errors until the buffer is cleared.
+- Bit 4 has to rise while "operation enabled" with mode 7 is on.
+- Ip mode that ends in motion (bit 4, halt, the mode, an end record too early) leaves the
+  axis to the profile deceleration.
+- TIME and time stamps move the clock of the path, also in motion.
 """
 
 from __future__ import annotations

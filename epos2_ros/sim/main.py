@@ -112,8 +112,9 @@ def _open_bus(arguments: argparse.Namespace) -> can.BusABC:
             bitrate=arguments.bitrate,
         )
     except (can.CanError, OSError, ValueError, ImportError) as error:
+        hint = "; is it there and up (ip link)?" if arguments.interface == "socketcan" else ""
         raise ConfigurationError(
-            f"can't open CAN interface {arguments.interface} {arguments.channel}: {error}"
+            f"can't open CAN interface {arguments.interface} {arguments.channel}: {error}{hint}"
         ) from error
 
 
