@@ -188,9 +188,7 @@ class Copley(Slave):
             (0x6064, "Position actual value", lambda: self.position_actual),
             (0x606C, "Velocity actual value", lambda: round(self._velocity / VELOCITY_UNIT)),
         ):
-            od.variable(
-                index, Entry(name, INTEGER32, "ro", mappable=True, read=read, fast=True)
-            )
+            od.variable(index, Entry(name, INTEGER32, "ro", mappable=True, read=read, fast=True))
         self._target = od.variable(0x607A, mapped("Target position", INTEGER32))
         self._limits = (
             Entry("Min position limit", INTEGER32, value=INTEGER32.low),
@@ -227,21 +225,56 @@ class Copley(Slave):
         def value(number: int, new: int) -> None:
             module.values[number] = new
 
-        register(0x2160, "Compare module configuration", type=UNSIGNED32, high=0x1F,
-                 read=lambda: module.configuration, write=self._on_module)
-        register(0x2161, "Compare module status", type=UNSIGNED32,
-                 read=lambda: module.status(self.now_us), write=self._on_clear)
+        register(
+            0x2160,
+            "Compare module configuration",
+            type=UNSIGNED32,
+            high=0x1F,
+            read=lambda: module.configuration,
+            write=self._on_module,
+        )
+        register(
+            0x2161,
+            "Compare module status",
+            type=UNSIGNED32,
+            read=lambda: module.status(self.now_us),
+            write=self._on_clear,
+        )
         for n in (0, 1):
-            register(0x2162 + n, f"Compare value {n}", type=INTEGER32,
-                     read=lambda n=n: module.values[n], write=partial(value, n))
-        register(0x2164, "Compare increment", type=INTEGER32,
-                 write=lambda new: setattr(module, "increment", new))
-        register(0x2165, "Compare pulse period", type=UNSIGNED32,
-                 write=lambda new: setattr(module, "pulse_period", new))
-        register(0x250A, "Reserved trace memory", type=UNSIGNED16, high=trace.size,
-                 read=lambda: trace.reserved, write=trace.reserve)
-        register(0x250B, "Offset into the reserved trace memory", type=UNSIGNED16,
-                 read=lambda: trace.offset, write=lambda new: setattr(trace, "offset", new))
+            register(
+                0x2162 + n,
+                f"Compare value {n}",
+                type=INTEGER32,
+                read=lambda n=n: module.values[n],
+                write=partial(value, n),
+            )
+        register(
+            0x2164,
+            "Compare increment",
+            type=INTEGER32,
+            write=lambda new: setattr(module, "increment", new),
+        )
+        register(
+            0x2165,
+            "Compare pulse period",
+            type=UNSIGNED32,
+            write=lambda new: setattr(module, "pulse_period", new),
+        )
+        register(
+            0x250A,
+            "Reserved trace memory",
+            type=UNSIGNED16,
+            high=trace.size,
+            read=lambda: trace.reserved,
+            write=trace.reserve,
+        )
+        register(
+            0x250B,
+            "Offset into the reserved trace memory",
+            type=UNSIGNED16,
+            read=lambda: trace.offset,
+            write=lambda new: setattr(trace, "offset", new),
+        )
 
     def _check_output(self, value: int) -> None:
         """Bits 9–11 and 15 of the configuration word are reserved, bits 12–13 another axis."""
