@@ -16,14 +16,11 @@ def generate_launch_description() -> LaunchDescription:
                 default_value=simulation,
                 description="parameters of the driver (default: simulated drives)",
             ),
-            DeclareLaunchArgument(
-                "namespace", default_value="", description="namespace of the node"
-            ),
             LifecycleNode(  # configures and activates itself: parameter `autostart`
                 package="epos2_ros",
                 executable="driver",
                 name="epos2_driver",
-                namespace=LaunchConfiguration("namespace"),
+                namespace="",
                 parameters=[LaunchConfiguration("params_file")],
                 output="screen",
             ),

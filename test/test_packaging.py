@@ -175,7 +175,7 @@ def test_launch_file_makes_a_description() -> None:
     pytest.importorskip("launch_ros", reason="launch_ros comes with a ROS installation only")
     description = runpy.run_path(str(ROOT / "launch" / "driver.launch.py"))
     arguments = description["generate_launch_description"]().get_launch_arguments()
-    assert {argument.name for argument in arguments} == {"params_file", "namespace"}
+    assert {argument.name for argument in arguments} == {"params_file"}
 
 
 class TestManifest:
