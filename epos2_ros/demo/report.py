@@ -16,6 +16,7 @@ from epos2_ros.errors import Epos2RosError
 
 MAX_SPREAD_US = 1.0
 MAX_FINAL_ERROR_QC = 0.5
+ROUNDING_QC = 1e-6  # two evaluations of one curve differ by so much at most
 MIN_LEVEL, MAX_LEVEL = 2, 64  # records in a drive's buffer while more are to come
 
 
@@ -88,11 +89,11 @@ class AxisResult:
 
     @property
     def path_kept(self) -> bool:
-        return self.path_error_qc <= self.tolerance_qc
+        return self.path_error_qc <= self.tolerance_qc + ROUNDING_QC
 
     @property
     def end_kept(self) -> bool:
-        return abs(self.final_error_qc) <= MAX_FINAL_ERROR_QC
+        return abs(self.final_error_qc) <= MAX_FINAL_ERROR_QC + ROUNDING_QC
 
     @property
     def buffer_kept(self) -> bool:

@@ -47,6 +47,7 @@ from epos2_ros.node.parameters import Parameters
 
 EXECUTOR_THREADS = 8  # lifecycle and parameters, trajectory, four services, topics; one to spare
 DIAGNOSTICS_PERIOD_S = 1.0
+SWITCH_INTERVAL_S = 0.0005  # how long a received frame waits for a computing thread; Python: 5 ms
 
 MakeDriver = Callable[[DriverConfig, Callable[[Event], None]], Driver]
 Transition = Callable[["DriverNode", LifecycleState], TransitionCallbackReturn]
@@ -288,6 +289,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     asked_to_stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: asked_to_stop.set())
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
     try:
         usage.parse_args(remove_ros_args(args))
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
