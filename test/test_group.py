@@ -116,7 +116,8 @@ def test_the_start_sequence_frame_by_frame():
         free = int.from_bytes(reports[-1][4:8], "little")
         assert 64 - free == sum(f.can_id == 0x200 + n for f in records)
     # Afterwards the time of that SYNC goes to all drives (2.4).
-    assert sent[start + 1][1].can_id == 0x200
+    t_stamp = next(t for t, f in sent[start:] if f.can_id == 0x200)
+    assert t_stamp - t_zero < 5000
     # All zeros of the paths are the SYNC's arrival.
     assert [drive.ip_start_us for drive in made.drives] == [t_zero] * 6
 
@@ -124,12 +125,14 @@ def test_the_start_sequence_frame_by_frame():
 def test_every_sync_is_followed_by_one_time_stamp_with_its_time():
     made = bench()
     zero = next(t for t, f, echo in made.frames if f.can_id == 0x100)  # TIME resets the clocks
-    made.run(1.0)
+    made.run(1.05)
     syncs = [t for t, f, _ in made.frames if f.can_id == 0x080]
-    stamps = [f.data for _, f, _ in made.frames if f.can_id == 0x200]
+    stamps = [(t, f.data) for t, f, _ in made.frames if f.can_id == 0x200]
     assert len(syncs) == len(stamps) > 10
-    for t, stamp in zip(syncs, stamps, strict=True):
-        assert abs(int.from_bytes(stamp, "little") - (t - zero)) <= 1
+    for t_sync, (t_stamp, stamp) in zip(syncs, stamps, strict=True):
+        assert 0 < t_stamp - t_sync < 10_000
+        # the drives' clocks, from which the host's are smoothed, count whole microseconds
+        assert abs(int.from_bytes(stamp, "little") - (t_sync - zero)) <= 3
 
 
 def test_drives_are_enabled_by_the_documented_controlwords():

@@ -10,6 +10,7 @@ from epos2_ros.motion.record import Record
 from epos2_ros.protocol import cia402, epos2
 from epos2_ros.protocol.buffer_account import BufferAccount
 from epos2_ros.protocol.cia402 import State
+from epos2_ros.protocol.clock import wrapped
 from epos2_ros.protocol.frame import Frame
 
 DRIFT_SMOOTHING = 0.1  # weight of the newest SYNC interval in the drift estimate
@@ -45,6 +46,7 @@ class Axis:
         self.emergency = 0
         self.heard_us = -math.inf
         self.restarted = False
+        self.latched: int | None = None  # its clock at the last SYNC; None: not answered yet
         self.clock_offset_us: float | None = None
         self.clock_drift_ppm: float | None = None
         self.account = BufferAccount()
@@ -80,22 +82,22 @@ class Axis:
         self.position_qc, self.velocity = epos2.TPDO2_LAYOUT.unpack(data)
         self.sample_us = t_us
 
-    def on_tpdo3(self, data: bytes, t_us: float, sync_stamp: int, since_last_us: float) -> None:
-        """Time stamp of the SYNC by the drive's clock against the host's `sync_stamp`.
-
-        The drive was set right `since_last_us` ago, so what it is off now is its drift.
-        """
-        stamp, statusword, self.current_ma = epos2.TPDO3_LAYOUT.unpack(data)
+    def on_tpdo3(self, data: bytes, t_us: float) -> None:
+        self.latched, statusword, self.current_ma = epos2.TPDO3_LAYOUT.unpack(data)
         self.report(statusword, t_us)
-        offset = (stamp - sync_stamp + 0x8000_0000) % 0x1_0000_0000 - 0x8000_0000
-        first = self.clock_offset_us is None
-        self.clock_offset_us = float(offset)
-        if first or not since_last_us:
-            return  # before the first correction the offset says nothing about the drift
-        drift = offset / since_last_us * 1e6
-        if self.clock_drift_ppm is None:
-            self.clock_drift_ppm = drift
-        else:
+
+    def compare_clock(self, stamp: int, interval_us: float) -> None:
+        """Its clock, as latched by a SYNC, against that SYNC's stamp.
+
+        The drive was set right `interval_us` ago (0: never), so what it is off now is drift.
+        """
+        if self.latched is None:
+            return
+        self.clock_offset_us = float(wrapped(self.latched - stamp))
+        if interval_us:
+            drift = self.clock_offset_us / interval_us * 1e6
+            if self.clock_drift_ppm is None:
+                self.clock_drift_ppm = drift
             self.clock_drift_ppm += DRIFT_SMOOTHING * (drift - self.clock_drift_ppm)
 
     def on_tpdo4(self, data: bytes, t_us: float) -> None:

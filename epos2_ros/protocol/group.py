@@ -44,6 +44,7 @@ ARM_LEAD_US = 20_000.0  # from "enable ip mode" in the RPDOs to the SYNC that ma
 REPLY_TIMEOUT_US = 1_000_000.0  # for one step of a drive that has been told something
 RESEND_US = 200_000.0  # a controlword without effect so long is sent again
 SYNC_ANSWER_US = 500.0  # per axis, for its two synchronous TPDOs, before the next SYNC
+FOLLOW_UP_US = 40_000.0  # a SYNC's time stamp waits no longer for a drive's answer
 STOP_TIMEOUT_US = 5_000_000.0  # for an axis to come to rest after a halt or quick stop
 ACTIVE_TIMEOUT_US = 200_000.0  # after the start SYNC, for "ip mode active"
 END_TIMEOUT_MS = 500.0  # after the end record, for "ip mode inactive"
@@ -143,6 +144,7 @@ class Group:
         self._sync_on_its_way = False
         self._last_sync_us: float | None = None
         self._sync_interval_us = 0.0
+        self._unstamped_us: float | None = None  # when the SYNC was that awaits its time stamp
         self._heartbeat_due_us = math.inf
         self._handlers: dict[int, Callable[[bytes, float], None]] = {}
         self._echo_handlers: dict[int, Callable[[float], None]] = {
@@ -156,7 +158,9 @@ class Group:
 
     def _subscribe(self, axis: Axis) -> None:
         def tpdo3(data: bytes, t_us: float) -> None:
-            axis.on_tpdo3(data, t_us, self.clock.last_stamp, self._sync_interval_us)
+            axis.on_tpdo3(data, t_us)
+            if all(other.latched is not None for other in self.axes):
+                self._follow_up()
 
         def emergency(data: bytes, t_us: float) -> None:
             if axis.on_emergency(data):
@@ -190,7 +194,7 @@ class Group:
             handler(data, t_us)
             if axis.statusword & cia402.FAULT_BIT:
                 self._trouble()
-            elif reports_buffer and self.phase in (Phase.STARTING, Phase.MOVING):
+            elif reports_buffer and self.phase is Phase.MOVING:
                 self._audit(axis, t_us)
 
         return receive
@@ -207,16 +211,29 @@ class Group:
             handler(frame.data, t_us)
 
     def _on_sync(self, t_us: float) -> None:
-        """A SYNC was on the bus at `t_us`: follow up with its time, as the note's 2.4 says."""
+        """A SYNC was on the bus at `t_us`; the drives now say what their clocks were."""
         self._sync_on_its_way = False
+        self._follow_up()  # of the last one, if a drive never answered it
         self.sync_count += 1
         if self._last_sync_us is not None:
             self._sync_interval_us = t_us - self._last_sync_us
-        self._last_sync_us = t_us
-        stamp = self.clock.stamp(t_us)
-        self.outbox.append(Frame(epos2.TIME_STAMP, stamp.to_bytes(4, "little")))
+        self._last_sync_us = self._unstamped_us = t_us
+        for axis in self.axes:
+            axis.latched = None
         if self.phase is Phase.STARTING and self.start_us is None:
             self.start_us = t_us
+
+    def _follow_up(self) -> None:
+        """Send the stamp of the last SYNC to all drives (note, 2.4), once."""
+        if self._unstamped_us is None:
+            return
+        latched = [axis.latched for axis in self.axes if axis.latched is not None]
+        interval_us = self._sync_interval_us if self.clock.last_stamp is not None else 0.0
+        stamp = self.clock.stamp(self._unstamped_us, latched)
+        self._unstamped_us = None
+        for axis in self.axes:
+            axis.compare_clock(stamp, interval_us)
+        self.outbox.append(Frame(epos2.TIME_STAMP, stamp.to_bytes(4, "little")))
 
     # ------------------------------------------------------------------ requests
 
@@ -388,6 +405,8 @@ class Group:
         self._now_us = now_us
         self._watch_silence()
         self._progress()
+        if self._unstamped_us is not None and now_us >= self._unstamped_us + FOLLOW_UP_US:
+            self._follow_up()
         if now_us >= self._heartbeat_due_us:
             self.outbox.append(Frame(epos2.HEARTBEAT + HOST_NODE_ID, b"\x05"))  # operational
             self._heartbeat_due_us = now_us + HEARTBEAT_PERIOD_US
@@ -397,6 +416,7 @@ class Group:
             self._heartbeat_due_us,
             self._sync_due_us if self._may_sync() else now_us + HEARTBEAT_PERIOD_US,
             self._phase_deadline_us(),
+            math.inf if self._unstamped_us is None else self._unstamped_us + FOLLOW_UP_US,
         )
 
     def _may_sync(self) -> bool:
