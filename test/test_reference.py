@@ -8,40 +8,14 @@ import numpy as np
 import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
-from trajectories import NAMES, Array, axes_of, curve_of, example, trajectories
+from trajectories import JOINTS, NAMES, axes_of, curve_of, example, from_rest, gentle, limited, rest
 
 from epos2_ros.config import AxisConfig
 from epos2_ros.errors import TrajectoryError
-from epos2_ros.motion.curve import Curve
 from epos2_ros.motion.join import join
 from epos2_ros.motion.limits import Limits, extremes
 from epos2_ros.motion.reference import Reference
 from epos2_ros.motion.trajectory import Trajectory
-from epos2_ros.motion.units import AxisUnits
-
-JOINTS = ("a", "b")
-
-
-def rest(axes: tuple[AxisConfig, ...], position: Array) -> Reference:
-    return Reference.at_rest([AxisUnits.of(axis) for axis in axes], position)
-
-
-def limited(*curves: Curve, share: float) -> tuple[AxisConfig, ...]:
-    """Axes whose limits are `share` of the most that any of the curves asks for."""
-    most = [
-        np.max([np.maximum(e.high, -e.low) for e in (extremes(c)[order] for c in curves)], axis=0)
-        for order in (1, 2)
-    ]
-    return tuple(
-        AxisConfig(
-            joint,
-            i + 1,
-            gear_ratio=10.0,
-            max_velocity=max(share * float(most[0][i]), 0.01),
-            max_acceleration=max(share * float(most[1][i]), 0.01),
-        )
-        for i, joint in enumerate(JOINTS)
-    )
 
 
 def assert_smooth_and_within(
@@ -63,16 +37,6 @@ def assert_smooth_and_within(
     mean = (velocity[1:] + velocity[:-1]) / 2
     assert (np.abs(np.diff(position, axis=0) - mean * step) <= most_a * step**2 + same).all()
     assert (np.abs(np.diff(velocity, axis=0)) <= most_a * step + 10 * same).all()
-
-
-def gentle(**kwargs: object) -> st.SearchStrategy[Trajectory]:
-    return trajectories(joints=JOINTS, size=0.3, step_s=(0.3, 1.5), **kwargs)
-
-
-def from_rest(trajectory: Trajectory, axes: tuple[AxisConfig, ...]) -> Reference:
-    return join(
-        rest(axes, trajectory.positions[0]), trajectory, Limits.of(axes), at_ms=0, start_ms=0
-    )
 
 
 # ------------------------------------------------------------------------- a trajectory
@@ -150,7 +114,7 @@ def test_far_from_the_first_point_is_refused() -> None:
         )  # fmt: skip
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(
     st.sampled_from(NAMES),
     st.lists(st.floats(-0.01, 0.01), min_size=6, max_size=6),
@@ -205,7 +169,7 @@ def test_a_first_point_in_the_future_is_reached_from_where_the_axes_are() -> Non
 # ------------------------------------------------------------------------- replacement
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(
     gentle(),
     gentle(first_s=st.sampled_from([0.0, 0.0, 0.7])),
@@ -240,11 +204,11 @@ def test_replacement_is_smooth_and_within_the_limits(
         assert replaced.end_ms <= late
         end = np.array([replaced.end_ms / 1000])
         np.testing.assert_allclose(replaced.evaluate(end)[0], new.positions[-1], atol=1e-9)
-        assert not replaced.evaluate(end, 1).any()
+        assert np.abs(replaced.evaluate(end, 1)).max() < 1e-12
     np.testing.assert_array_equal(current.positions(k), before)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(gentle(points=(4, 7)), gentle(points=(4, 7)), st.floats(0, 1))
 def test_with_room_for_it_a_replacement_is_on_the_new_trajectory_soon(
     old: Trajectory, new: Trajectory, when: float

@@ -13,11 +13,16 @@ from numpy.typing import NDArray
 
 from epos2_ros.config import AxisConfig
 from epos2_ros.motion.curve import Curve
+from epos2_ros.motion.join import join
+from epos2_ros.motion.limits import Limits, extremes
+from epos2_ros.motion.reference import Reference
 from epos2_ros.motion.trajectory import Trajectory
+from epos2_ros.motion.units import AxisUnits
 
 Array = NDArray[np.float64]
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
+JOINTS = ("a", "b")  # of random trajectories
 NAMES = ("jerk_limited", "pick_place", "positions_only", "raster_scan")
 
 
@@ -70,7 +75,7 @@ def numbers(size: float) -> st.SearchStrategy[float]:
 def trajectories(
     draw: Callable[..., Any],
     kinds: tuple[str, ...] = ("positions", "velocities", "accelerations"),
-    joints: tuple[str, ...] = ("a", "b"),
+    joints: tuple[str, ...] = JOINTS,
     first_s: st.SearchStrategy[float] | None = None,
     points: tuple[int, int] = (2, 7),
     size: float = 1.0,
@@ -103,4 +108,36 @@ def trajectories(
         values(3.0, still=False),
         values(2.0, still=True) if given >= 1 else None,
         values(5.0, still=False) if given >= 2 else None,
+    )
+
+
+def gentle(**kwargs: object) -> st.SearchStrategy[Trajectory]:
+    return trajectories(size=0.3, step_s=(0.3, 1.5), **kwargs)
+
+
+def rest(axes: tuple[AxisConfig, ...], position: Array) -> Reference:
+    return Reference.at_rest([AxisUnits.of(axis) for axis in axes], position)
+
+
+def limited(*curves: Curve, share: float) -> tuple[AxisConfig, ...]:
+    """Axes whose limits are `share` of the most that any of the curves asks for."""
+    most = [
+        np.max([np.maximum(e.high, -e.low) for e in (extremes(c)[order] for c in curves)], axis=0)
+        for order in (1, 2)
+    ]
+    return tuple(
+        AxisConfig(
+            joint,
+            i + 1,
+            gear_ratio=10.0,
+            max_velocity=max(share * float(most[0][i]), 0.01),
+            max_acceleration=max(share * float(most[1][i]), 0.01),
+        )
+        for i, joint in enumerate(JOINTS)
+    )
+
+
+def from_rest(trajectory: Trajectory, axes: tuple[AxisConfig, ...]) -> Reference:
+    return join(
+        rest(axes, trajectory.positions[0]), trajectory, Limits.of(axes), at_ms=0, start_ms=0
     )
