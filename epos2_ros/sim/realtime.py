@@ -7,6 +7,7 @@ moves no SYNC.
 
 from __future__ import annotations
 
+import math
 import random
 import threading
 import time
@@ -24,11 +25,27 @@ CYCLE_US = 1000.0  # control cycles of all drives that are due within this are r
 TRANSMIT_QUEUE = 256  # frames; the oldest are lost when the bus doesn't take them
 _LONGEST_WAIT_S = 0.1  # for a frame, so that `stop` is noticed
 _OLDEST_STAMP_US = 1e6  # an older time stamp is of another clock
+_UNDISTURBED_US = 5.0  # reading three clocks takes less
+_CLOCK_READINGS = 10
 
 
 def now_us() -> float:
     """The drives' time: CLOCK_MONOTONIC [µs]."""
     return time.monotonic_ns() / 1000
+
+
+def wall_offset_us() -> float:
+    """CLOCK_MONOTONIC minus wall clock [µs], read without being interrupted in between."""
+    best_us, offset_us = math.inf, 0.0
+    for _ in range(_CLOCK_READINGS):
+        before = time.monotonic_ns()
+        wall = time.time_ns()
+        taken_us = (time.monotonic_ns() - before) / 1000
+        if taken_us < best_us:
+            best_us, offset_us = taken_us, (before - wall) / 1000
+        if taken_us < _UNDISTURBED_US:
+            break
+    return offset_us
 
 
 def build_drives(
@@ -132,8 +149,8 @@ class RealtimeSimulator:
     @staticmethod
     def _time_of(message: can.Message) -> float:
         """When the frame was on the bus; now, if its stamp is not of the system's wall clock."""
+        stamped = message.timestamp * 1e6 + wall_offset_us()
         now = now_us()
-        stamped = now + (message.timestamp - time.time()) * 1e6
         return stamped if now - _OLDEST_STAMP_US < stamped < now else now
 
     def _flush(self) -> bool:
