@@ -68,33 +68,31 @@ def _placed(
     """The trajectory as a curve of all axes over path time."""
     held = resting_place(state, limits)
     still = np.zeros_like(held)
+    named = np.isin(np.arange(len(held)), axes)
+    in_order = list(axes) == list(range(len(held)))
     comes = trajectory.times_s[0] + start_s > at_s
 
     def columns(values: Array, start: Array, others: Array) -> Array:
         """Values of all axes at the points, with the present state before them if needed."""
-        full = np.tile(others, (comes + len(values), 1))
-        full[int(comes) :, axes] = values
-        if comes:
-            full[0, axes] = start[axes]
-        return full
+        if in_order:
+            full = values
+        else:
+            full = np.tile(others, (len(values), 1))
+            full[:, axes] = values
+        return np.vstack((np.where(named, start, others), full)) if comes else full
 
     times_s = trajectory.times_s + start_s
     velocities = accelerations = None
     if trajectory.velocities is not None:
         velocities = columns(trajectory.velocities, state.velocity, still)
-        velocities[-1] = 0.0  # what is left of rounding
         if trajectory.accelerations is not None:
             accelerations = columns(trajectory.accelerations, state.acceleration, still)
-    start_velocity = None
-    if comes and velocities is None:
-        start_velocity = still.copy()
-        start_velocity[axes] = state.velocity[axes]
     return Curve(
         np.concatenate(([at_s], times_s)) if comes else times_s,
         columns(trajectory.positions, state.position, held),
         velocities,
         accelerations,
-        start_velocity,
+        np.where(named, state.velocity, 0.0) if comes and velocities is None else None,
     )
 
 
