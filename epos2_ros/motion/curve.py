@@ -54,21 +54,17 @@ def hermite(
     broadcast against each other.
     """
     basis = (_QUINTIC_BASES if len(ends) == 3 else _CUBIC_BASES)[derivative]
+    weights = np.zeros((len(basis), *u.shape))
+    for coefficients in basis.T[::-1]:  # Horner, all rows at once
+        weights *= u
+        weights += coefficients.reshape(-1, *(1,) * u.ndim)
     (p0, p1), *slopes = ends
-    weights = [_horner(row, u) for row in basis]
     value = weights[0] * (p1 - p0)
     for order, pair in enumerate(slopes, start=1):
-        scale = h**order
-        value += weights[2 * order - 1] * scale * pair[0] + weights[2 * order] * scale * pair[1]
+        weights *= h
+        value += weights[2 * order - 1] * pair[0]
+        value += weights[2 * order] * pair[1]
     return p0 + value if derivative == 0 else value / h**derivative
-
-
-def _horner(coefficients: Array, u: Array) -> Array:
-    value = np.full_like(u, coefficients[-1])
-    for c in coefficients[-2::-1]:
-        value *= u
-        value += c
-    return value
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,14 +140,12 @@ class Curve:
 
     def _ends(self, i: NDArray[np.intp]) -> tuple[tuple[Array, Array], ...]:
         """(p0, p1), (v0, v1) and (a0, a1) of the pieces i [m], each [m, axes]."""
-        positions = self.positions[i], self.positions[i + 1]
         if self.velocities is None:
             pieces, of = np.unique(i, return_inverse=True)
-            return positions, (self._slopes(pieces)[of], self._slopes(pieces + 1)[of])
-        velocities = self.velocities[i], self.velocities[i + 1]
-        if self.accelerations is None:
-            return positions, velocities
-        return positions, velocities, (self.accelerations[i], self.accelerations[i + 1])
+            slopes = self._slopes(pieces).take(of, 0), self._slopes(pieces + 1).take(of, 0)
+            return _both(self.positions, i), slopes
+        given = (self.positions, self.velocities, self.accelerations)
+        return tuple(_both(values, i) for values in given if values is not None)
 
     def _slopes(self, i: NDArray[np.intp]) -> Array:
         """Velocities at the points i of a curve through positions alone [m, axes].
@@ -173,3 +167,8 @@ class Curve:
         if self.start_velocity is not None:
             slopes[i == 0] = self.start_velocity
         return slopes
+
+
+def _both(values: Array, i: NDArray[np.intp]) -> tuple[Array, Array]:
+    """Values at both ends of the pieces i; `take` is much faster than indexing."""
+    return values.take(i, axis=0), values.take(i + 1, axis=0)

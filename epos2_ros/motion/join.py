@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 
 # Curves this near to each other need no crossing from one to the other.
 _SAME_QC, _SAME_QC_S = 1e-4, 1e-3
+_INSTANT_S = 1e-6  # times this near to each other are one
 
 
 def join(
@@ -50,7 +51,7 @@ def join(
         return current.followed_by(
             _stream(current, trajectory.positions[0], axes, state, limits, at_ms, due_s), at_ms
         )
-    if current.rests(at_ms) and at_ms <= start_ms and trajectory.times_s[0] == 0:
+    if current.rests(at_ms) and at_ms <= start_ms and trajectory.times_s[0] <= _INSTANT_S:
         _check_start(trajectory, axes, state, limits, start_tolerance)
     curve = _placed(trajectory, axes, state, limits, at_s, start_s)
     check(curve, limits, start_s)
@@ -70,7 +71,10 @@ def _placed(
     still = np.zeros_like(held)
     named = np.isin(np.arange(len(held)), axes)
     in_order = list(axes) == list(range(len(held)))
-    comes = trajectory.times_s[0] + start_s > at_s
+    times_s = trajectory.times_s + start_s
+    comes = times_s[0] > at_s + _INSTANT_S
+    if not comes:
+        times_s[0] = min(times_s[0], at_s)
 
     def columns(values: Array, start: Array, others: Array) -> Array:
         """Values of all axes at the points, with the present state before them if needed."""
@@ -81,7 +85,6 @@ def _placed(
             full[:, axes] = values
         return np.vstack((np.where(named, start, others), full)) if comes else full
 
-    times_s = trajectory.times_s + start_s
     velocities = accelerations = None
     if trajectory.velocities is not None:
         velocities = columns(trajectory.velocities, state.velocity, still)
