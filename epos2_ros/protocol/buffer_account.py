@@ -27,6 +27,7 @@ class BufferAccount:
         self.committed_ms = 0  # path time at which the last sent segment ends
         self.ended = False  # the end record (time 0) was sent
         self.last_position_qc = 0
+        self.wrong_since_us: float | None = None  # host time of the first report that disagreed
         self._begins: list[int] = []  # path time at which each record leaves the FIFO
         self._on_bus_us: deque[float] = deque()  # when each record was seen on the bus
         self._forgotten = 0  # records dropped from the head of `_begins`

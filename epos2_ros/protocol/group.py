@@ -679,9 +679,19 @@ class Group:
             self._stop_all(f"{active[0]} is still active after its end record")
 
     def _audit(self, axis: Axis, t_us: float) -> None:
-        """Compare what the drive says of its buffer with the books."""
-        wrong = axis.account.mismatch(axis.free, t_us, self.path_ms(t_us))
-        if wrong:
+        """Compare what the drive says of its buffer with the books.
+
+        A lost record stays lost, while a report that a busy host has read late is made good by
+        the next. So it is a fault once the reports disagree for half the buffer time: what
+        follows a lost record in the FIFO is still to come then.
+        """
+        account = axis.account
+        wrong = account.mismatch(axis.free, t_us, self.path_ms(t_us))
+        if not wrong:
+            account.wrong_since_us = None
+        elif account.wrong_since_us is None:
+            account.wrong_since_us = t_us
+        elif t_us >= account.wrong_since_us + 500 * self.settings.buffer_time_ms:
             self._stop_all(f"{axis}: {wrong}")
 
     def _finish_motion(self) -> None:
