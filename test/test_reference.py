@@ -102,6 +102,14 @@ def test_limits_are_checked_before_anything_moves() -> None:
 # ------------------------------------------------------------------------------- start
 
 
+def test_a_single_point_that_is_due_at_once_must_be_near() -> None:
+    axes = axes_of(JOINTS)
+    here = rest(axes, np.zeros(2))
+    jump = Trajectory(JOINTS, np.zeros(1), np.array([[0.0, 0.5]]))
+    with pytest.raises(TrajectoryError, match="joint 'b', point 0: 0.5 rad is 0.5 rad away"):
+        join(here, jump, Limits.of(axes), at_ms=0, start_ms=0, start_tolerance=0.01)
+
+
 def test_far_from_the_first_point_is_refused() -> None:
     trajectory = example("pick_place")
     axes = axes_of(trajectory.joint_names)

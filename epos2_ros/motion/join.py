@@ -46,13 +46,13 @@ def join(
     at_ms = max(at_ms, start_ms)
     at_s, start_s = at_ms / 1000, start_ms / 1000
     state = current.state(at_ms)
+    if current.rests(at_ms) and at_ms <= start_ms and trajectory.times_s[0] <= _INSTANT_S:
+        _check_start(trajectory, axes, state, limits, start_tolerance)
     if is_streamed(trajectory):
         due_s = start_s + trajectory.duration_s
         return current.followed_by(
             _stream(current, trajectory.positions[0], axes, state, limits, at_ms, due_s), at_ms
         )
-    if current.rests(at_ms) and at_ms <= start_ms and trajectory.times_s[0] <= _INSTANT_S:
-        _check_start(trajectory, axes, state, limits, start_tolerance)
     curve = _placed(trajectory, axes, state, limits, at_s, start_s)
     check(curve, limits, start_s)
     return current.followed_by(cross(curve, state, limits, at_s, _same(current)), at_ms)

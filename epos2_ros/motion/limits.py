@@ -25,6 +25,8 @@ Array = NDArray[np.float64]
 # compared to a millionth, and points are taken to be known to half a unit of the ninth digit.
 RELATIVE_SLACK = 1e-6
 ROUNDING = 0.5e-9  # [unit], [unit/s], [unit/s²]
+# What the driver plans itself it looks at instant by instant, and keeps this share of a limit.
+PLANNED_SHARE = 0.999
 _CHUNK = 2048  # pieces at a time, so that the work stays in the cache
 
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from epos2_ros.motion.limits import Limits
+from epos2_ros.motion.limits import PLANNED_SHARE, Limits
 from epos2_ros.motion.reference import Motion, Reference
 
 Array = NDArray[np.float64]
@@ -23,7 +23,6 @@ Array = NDArray[np.float64]
 _CELL_S = 0.001  # u falls linearly in time over cells of σ of this length
 _SAMPLES = 4  # instants of a cell at which its acceleration is bounded
 _BLOCK = 256  # cells looked at in one go
-_SHARE = 0.999  # of the acceleration limit, for what lies between the instants
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +66,9 @@ def stop(current: Reference, from_ms: int, limits: Limits) -> Reference:
     if from_ms >= current.end_ms or isinstance(current.governs(from_ms), Slowed):
         return current
     path = current.trimmed(from_ms)
-    return current.followed_by(_brake(path, from_ms / 1000, limits.agility * _SHARE), from_ms)
+    return current.followed_by(
+        _brake(path, from_ms / 1000, limits.agility * PLANNED_SHARE), from_ms
+    )
 
 
 def _brake(path: Reference, start_s: float, acceleration: Array) -> Slowed:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from epos2_ros.errors import TrajectoryError
 from epos2_ros.motion.curve import Curve, hermite
-from epos2_ros.motion.limits import RELATIVE_SLACK, Limits
+from epos2_ros.motion.limits import PLANNED_SHARE, RELATIVE_SLACK, Limits
 from epos2_ros.motion.reference import Motion
 from epos2_ros.motion.trajectory import Trajectory
 
@@ -26,7 +26,6 @@ Array = NDArray[np.float64]
 HORIZON_S = 0.25  # a single point due within this time is one of a stream
 WINDOW_S = 0.1  # steps take at least this long, to overlap when the points are near ahead
 _STRETCHES = (1.0, 1.25, 1.5, 2.0, 3.0)  # how much longer a step may take
-_SHARE = 0.999  # of the limits, for what lies between the milliseconds
 _STEP = ((np.zeros(1), np.ones(1)), (np.zeros(1),) * 2, (np.zeros(1),) * 2)
 
 
@@ -94,8 +93,10 @@ class Stream:
                 np.array([duration_s]),
                 step[None, :],
             )
-            if (np.abs(velocity + added.evaluate(t_s, 1)) <= limits.velocity * _SHARE).all() and (
-                np.abs(acceleration + added.evaluate(t_s, 2)) <= limits.acceleration * _SHARE
+            if (
+                np.abs(velocity + added.evaluate(t_s, 1)) <= limits.velocity * PLANNED_SHARE
+            ).all() and (
+                np.abs(acceleration + added.evaluate(t_s, 2)) <= limits.acceleration * PLANNED_SHARE
             ).all():
                 return replace(
                     running,

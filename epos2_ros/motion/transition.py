@@ -18,17 +18,15 @@ from numpy.typing import NDArray
 
 from epos2_ros.errors import TrajectoryError
 from epos2_ros.motion.curve import hermite
-from epos2_ros.motion.limits import Limits
+from epos2_ros.motion.limits import PLANNED_SHARE, RELATIVE_SLACK, Limits
 from epos2_ros.motion.reference import Motion, State
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 GRACE_S = 1.0  # how long after the new curve's end an axis may reach it
-_SHARE = 0.999  # of the limits, for what lies between the milliseconds looked at
 _SOON_MS = 100  # who fades within this time needs nothing quicker
-_LATEST_FADE_MS = 4000
-_LONGEST_FADE_MS = 1000
+_SHORTEST_FADE_MS, _LONGEST_FADE_MS, _LATEST_FADE_MS = 8, 1000, 4000
 _FADE_SAMPLES = 48
 
 
@@ -84,7 +82,7 @@ class Transition:
 def resting_place(state: State, limits: Limits) -> Array:
     """Where the axes stand when they slow down at once, each on its own [axes]."""
     still = np.zeros_like(state.velocity)
-    _, way = _ramp(state.velocity, state.acceleration, still, limits.agility * _SHARE)
+    _, way = _ramp(state.velocity, state.acceleration, still, limits.agility * PLANNED_SHARE)
     return state.position + way
 
 
@@ -155,13 +153,18 @@ class _Room:
         there = tuple(target.evaluate(t_s, order) for order in range(3))
         low = np.minimum(limits.lower, state.position), -speed, -acceleration
         high = np.maximum(limits.upper, state.position), speed, acceleration
-        slack = 1e-6
         return cls(
             target,
             at_s,
             there,
-            tuple(np.minimum(b - slack * np.abs(b), v) for b, v in zip(low, there, strict=True)),
-            tuple(np.maximum(b + slack * np.abs(b), v) for b, v in zip(high, there, strict=True)),
+            tuple(
+                np.minimum(b - RELATIVE_SLACK * np.abs(b), v)
+                for b, v in zip(low, there, strict=True)
+            ),
+            tuple(
+                np.maximum(b + RELATIVE_SLACK * np.abs(b), v)
+                for b, v in zip(high, there, strict=True)
+            ),
         )
 
     def of(self, axes: Mask) -> _Room:
@@ -226,7 +229,7 @@ def _fading(room: _Room, gap: State, before_s: Array, earliest_ms: int) -> tuple
                 break
             beside = hermite((sample / fade_ms)[:, None], np.array(fade_ms / 1000), ends, order)
             if order == 2:  # a quintic's peaks may lie between the samples
-                beside *= 1 + 5 / len(sample) ** 2
+                beside *= 1 + 5 / (len(sample) - 1) ** 2
             fits &= mine.admits(order, wait[:, None] + sample, beside).all(axis=1)
         first = fits.argmax(axis=0)
         better = fits.any(axis=0) & (wait[first] + fade_ms < end_ms)
@@ -252,9 +255,11 @@ def _fading(room: _Room, gap: State, before_s: Array, earliest_ms: int) -> tuple
 
 
 def _fade_durations(earliest_ms: int, window_ms: int) -> NDArray[np.intp]:
-    shortest = min(max(earliest_ms, 8), window_ms)
+    shortest = max(earliest_ms, _SHORTEST_FADE_MS)
     longest = min(max(earliest_ms, _LONGEST_FADE_MS), window_ms)
-    return np.unique(np.geomspace(shortest, longest, 12).astype(int))
+    if longest < shortest:
+        return np.empty(0, dtype=np.intp)
+    return np.unique(np.geomspace(shortest, longest, 12).astype(np.intp))
 
 
 def _catching_up(
@@ -320,8 +325,8 @@ def _catching_up(
 def _allowed(state: State, limits: Limits) -> tuple[Array, Array]:
     """Speed and acceleration to keep; what the axis does already is allowed to go on."""
     return (
-        np.maximum(limits.velocity * _SHARE, np.abs(state.velocity)),
-        np.maximum(limits.agility * _SHARE, np.abs(state.acceleration)),
+        np.maximum(limits.velocity * PLANNED_SHARE, np.abs(state.velocity)),
+        np.maximum(limits.agility * PLANNED_SHARE, np.abs(state.acceleration)),
     )
 
 
