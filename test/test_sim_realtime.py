@@ -17,7 +17,7 @@ import can
 import canopen
 import numpy as np
 import pytest
-from sim_host import pvt
+from sim_host import Host, pvt
 
 from epos2_ros.sim.epos2 import Epos2
 from epos2_ros.sim.main import main, node_list
@@ -187,6 +187,50 @@ def test_full_transmit_queue_loses_nothing() -> None:
     bus.shutdown()
     boot = [(0x701, b"\0"), (0x702, b"\0"), (0x703, b"\0")]
     assert bus.sent == boot + boot  # at power-on, and after the reset
+
+
+class Backlog(can.BusABC):
+    """A bus on which everything has come in before anyone looked."""
+
+    def __init__(self, frames: list[tuple[float, int, bytes]]) -> None:
+        super().__init__("backlog")
+        self.received = deque(
+            can.Message(timestamp=stamp_s, arbitration_id=can_id, data=data, is_extended_id=False)
+            for stamp_s, can_id, data in frames
+        )
+        self.sent: list[int] = []
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        self.sent.append(msg.arbitration_id)
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        if self.received:
+            return self.received.popleft(), True
+        time.sleep(timeout or 0)
+        return None, True
+
+
+def test_late_thread_gives_every_frame_its_time() -> None:
+    """A second of traffic at once: the drive never runs ahead of a record that came in time."""
+    drive = Epos2(1, record=True)
+    host = Host(drive)
+    host.prepare_ip()
+    zero_s = time.time() - 0.9
+    frames = [(zero_s - 0.05, 0x201, pvt(100 * n, 60, 50)) for n in (1, 2, 3, 4)]
+    frames += [(zero_s - 0.01, 0x301, b"\x1f\x00"), (zero_s, 0x080, b"")]
+    for n in range(5, 16):
+        frames.append((zero_s + 0.05 * n - 0.17, 0x201, pvt(100 * n, 60, 50)))
+    frames.append((zero_s + 0.62, 0x201, pvt(1550, 0, 50)))
+    frames.append((zero_s + 0.63, 0x201, pvt(1550, 0, 0)))
+    bus = Backlog(frames)
+    simulator = RealtimeSimulator(bus, [drive])
+    simulator.start()
+    until(lambda: not drive.ip_active and drive.position_actual == 1550)
+    simulator.stop()
+    bus.shutdown()
+    assert 0x081 not in bus.sent
+    assert dict(drive.executed)[400] == 800
+    assert drive.executed[-1] == (800, 1550)
 
 
 # --- slcan ------------------------------------------------------------------------------

@@ -109,24 +109,27 @@ class RealtimeSimulator:
     def _run(self) -> None:
         last_us = -CYCLE_US
         while not self._stopping.is_set():
-            while self._wait(0.0):
-                pass  # what came in while this thread was late happened before now
-            with self.lock:
-                now = now_us()
-                due_us = min(drive.next_event_us for drive in self._drives)
-                if max(due_us, last_us + CYCLE_US) <= now:
-                    last_us = now
+            now = now_us()
+            if max(self._due_us(), last_us + CYCLE_US) <= now:
+                # What came in while this thread was kept waiting came before that moment.
+                while self._take(0.0):
+                    pass
+                with self.lock:
                     for drive in self._drives:
                         drive.advance(now)
+                last_us = now
+            with self.lock:
                 sent = self._flush()
-                due_us = min(drive.next_event_us for drive in self._drives)
-            wait_s = (max(due_us, last_us + CYCLE_US) - now_us()) / 1e6
+            wait_s = (max(self._due_us(), last_us + CYCLE_US) - now_us()) / 1e6
             if not sent:
                 wait_s = min(wait_s, CYCLE_US / 1e6)  # then try again
-            self._wait(max(0.0, min(wait_s, _LONGEST_WAIT_S)))
+            self._take(max(0.0, min(wait_s, _LONGEST_WAIT_S)))
 
-    def _wait(self, seconds: float) -> bool:
-        """Takes the next frame; `False` if none comes in time."""
+    def _due_us(self) -> float:
+        return min(drive.next_event_us for drive in self._drives)
+
+    def _take(self, seconds: float) -> bool:
+        """Hands the next frame to the drives, if one comes in time; `False` if none did."""
         try:
             message = self._bus.recv(seconds)
             self.error = None
@@ -136,14 +139,13 @@ class RealtimeSimulator:
             return False
         if message is None:
             return False
-        if message.is_extended_id or message.is_error_frame or message.is_fd:
-            return True
-        with self.lock:
+        if not (message.is_extended_id or message.is_error_frame or message.is_fd):
             t_us = self._time_of(message)
-            for drive in self._drives:
-                drive.receive(
-                    message.arbitration_id, bytes(message.data), t_us, message.is_remote_frame
-                )
+            with self.lock:
+                for drive in self._drives:
+                    drive.receive(
+                        message.arbitration_id, bytes(message.data), t_us, message.is_remote_frame
+                    )
         return True
 
     @staticmethod
