@@ -57,12 +57,10 @@ class Stream:
     def evaluate(self, t_s: Array, derivative: int = 0) -> Array:
         """Position or its 1st or 2nd derivative at path times t_s [m] → [m, axes]."""
         value = self.base.evaluate(t_s, derivative)
-        u = (t_s[:, None] - self.starts_s) / self.durations_s
-        share = hermite(np.clip(u, 0, 1), self.durations_s, _STEP, derivative)
-        if derivative:
-            return value + np.where((u > 0) & (u < 1), share, 0.0) @ self.steps
-        rest = self.target - self.steps.sum(axis=0)
-        return value + (rest - self._base_end) + share @ self.steps
+        value = value + _shares(t_s, self.starts_s, self.durations_s, derivative) @ self.steps
+        if derivative == 0:
+            value += self.target - self.steps.sum(axis=0) - self._base_end
+        return value
 
     def to(self, target: Array, limits: Limits, at_s: float, due_s: float) -> Stream | None:
         """The same until `at_s`, then on to `target` [axes], which is due at `due_s`.
@@ -85,23 +83,17 @@ class Stream:
         # The drives evaluate nothing between the milliseconds.
         t_s = at_s + np.arange(round(shortest_s * _STRETCHES[-1] * 1000)) / 1000
         velocity, acceleration = (running.evaluate(t_s, order) for order in (1, 2))
-        for duration_s in shortest_s * np.array(_STRETCHES):
-            added = Stream(
-                Curve.resting(np.zeros_like(step)),
-                step,
-                np.array([at_s]),
-                np.array([duration_s]),
-                step[None, :],
-            )
-            if (
-                np.abs(velocity + added.evaluate(t_s, 1)) <= limits.velocity * PLANNED_SHARE
-            ).all() and (
-                np.abs(acceleration + added.evaluate(t_s, 2)) <= limits.acceleration * PLANNED_SHARE
-            ).all():
+        most_v, most_a = limits.velocity * PLANNED_SHARE, limits.acceleration * PLANNED_SHARE
+        for stretch in _STRETCHES:
+            start_s, duration_s = np.array([at_s]), np.array([shortest_s * stretch])
+            added_v, added_a = (_shares(t_s, start_s, duration_s, i) * step for i in (1, 2))
+            if np.all(np.abs(velocity + added_v) <= most_v) and np.all(
+                np.abs(acceleration + added_a) <= most_a
+            ):
                 return replace(
                     running,
                     target=target,
-                    starts_s=np.append(running.starts_s, at_s),
+                    starts_s=np.append(running.starts_s, start_s),
                     durations_s=np.append(running.durations_s, duration_s),
                     steps=np.vstack((running.steps, step)),
                 )
@@ -124,3 +116,10 @@ class Stream:
     @property
     def _base_end(self) -> Array:
         return self.base.evaluate(np.array([self.base.end_s]))[0]
+
+
+def _shares(t_s: Array, starts_s: Array, durations_s: Array, derivative: int) -> Array:
+    """How much of each step is done at t_s [m], or a derivative of that → [m, steps]."""
+    u = (t_s[:, None] - starts_s) / durations_s
+    share = hermite(np.clip(u, 0, 1), durations_s, _STEP, derivative)
+    return np.where((u > 0) & (u < 1), share, 0.0) if derivative else share

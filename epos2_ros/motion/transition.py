@@ -151,20 +151,16 @@ class _Room:
         speed, acceleration = _allowed(state, limits)
         t_s = at_s + np.arange(window_ms + 1) / 1000
         there = tuple(target.evaluate(t_s, order) for order in range(3))
-        low = np.minimum(limits.lower, state.position), -speed, -acceleration
-        high = np.maximum(limits.upper, state.position), speed, acceleration
+        lows = np.minimum(limits.lower, state.position), -speed, -acceleration
+        highs = np.maximum(limits.upper, state.position), speed, acceleration
+        low = (bound - RELATIVE_SLACK * np.abs(bound) for bound in lows)
+        high = (bound + RELATIVE_SLACK * np.abs(bound) for bound in highs)
         return cls(
             target,
             at_s,
             there,
-            tuple(
-                np.minimum(b - RELATIVE_SLACK * np.abs(b), v)
-                for b, v in zip(low, there, strict=True)
-            ),
-            tuple(
-                np.maximum(b + RELATIVE_SLACK * np.abs(b), v)
-                for b, v in zip(high, there, strict=True)
-            ),
+            tuple(np.minimum(bound, value) for bound, value in zip(low, there, strict=True)),
+            tuple(np.maximum(bound, value) for bound, value in zip(high, there, strict=True)),
         )
 
     def of(self, axes: Mask) -> _Room:
