@@ -285,7 +285,12 @@ def parameter_file(joints: Sequence[str], scratch: Path) -> Path:
         if parameters.get("simulate") and set(parameters["joints"]) == set(joints):
             return file
     axes = {joint: {"counts_per_turn": 2000, "gear_ratio": 100.0} for joint in joints}
-    section = {"simulate": True, "joints": list(joints), "axes": axes}
+    section = {
+        "simulate": True,
+        "joints": list(joints),
+        "axes": axes,
+        "ipm": {"buffer_time": 1.0},
+    }
     file = scratch / "revolute.yaml"
     file.write_text(yaml.safe_dump({f"/{DRIVER}": {"ros__parameters": section}}))
     return file
