@@ -18,7 +18,7 @@ from epos2_ros.errors import DriveError
 from epos2_ros.protocol import cia402, epos2
 from epos2_ros.protocol.cia402 import State
 from epos2_ros.protocol.epos2 import PdoMapping
-from epos2_ros.protocol.group import HOST_NODE_ID
+from epos2_ros.protocol.timekeeper import HOST_NODE_ID
 
 DRIVE_HEARTBEAT_MS = 200
 HOST_HEARTBEAT_TIMEOUT_MS = 500  # the drive stops by itself when the host is silent so long

@@ -224,7 +224,7 @@ class Driver:
             state=self._group.phase.value,
             reason=self._group.reason,
             bus_load=link.load if link else 0.0,
-            sync_count=self._group.sync_count,
+            sync_count=self._group.time.sync_count,
             sync_time_source=link.time_source if link else "",
             dropped_frames=link.dropped if link else 0,
             error_frames=link.error_frames if link else 0,

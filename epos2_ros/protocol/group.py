@@ -10,10 +10,6 @@ The rules this file keeps:
   buffer, reported by every drive; "enable ip mode" in every synchronous RPDO, seen on the bus;
   then one SYNC, whose time on the bus is the zero of every axis' path. No other SYNC is sent
   between the first of those controlwords and that one.
-* Three records per drive before the start, and two besides the one in execution from then on:
-  3.6.3 asks for two in the FIFO and leaves open whether the executing segment counts.
-* Nothing is sent that time or the drive's own report does not leave room for, and a report that
-  does not agree with the books is a fault.
 * One axis in trouble stops all. Nothing starts again by itself.
 """
 
@@ -28,29 +24,21 @@ from enum import Enum
 from typing import NamedTuple
 
 from epos2_ros.errors import DriveError, MotionAborted, TrajectoryError
-from epos2_ros.motion.fit import Fitter
-from epos2_ros.motion.record import MAX_SEGMENT_MS
 from epos2_ros.motion.reference import Reference
 from epos2_ros.protocol import cia402, epos2
 from epos2_ros.protocol.axis import Axis, AxisSetup
-from epos2_ros.protocol.buffer_account import BufferAccount
 from epos2_ros.protocol.cia402 import State
-from epos2_ros.protocol.clock import MasterClock
+from epos2_ros.protocol.feeder import Feeder
 from epos2_ros.protocol.frame import Frame
+from epos2_ros.protocol.timekeeper import Timekeeper
 
-MIN_RECORDS_AHEAD = 3  # in the FIFO, so that two remain when the next segment begins
-MAX_RECORDS_AHEAD = epos2.BUFFER_SIZE - 4
 ARM_LEAD_US = 20_000.0  # from "enable ip mode" in the RPDOs to the SYNC that makes it count
 REPLY_TIMEOUT_US = 1_000_000.0  # for one step of a drive that has been told something
 RESEND_US = 200_000.0  # a controlword without effect so long is sent again
-SYNC_ANSWER_US = 500.0  # per axis, for its two synchronous TPDOs, before the next SYNC
-FOLLOW_UP_US = 40_000.0  # a SYNC's time stamp waits no longer for a drive's answer
 STOP_TIMEOUT_US = 5_000_000.0  # for an axis to come to rest after a halt or quick stop
 ACTIVE_TIMEOUT_US = 200_000.0  # after the start SYNC, for "ip mode active"
 END_TIMEOUT_MS = 500.0  # after the end record, for "ip mode inactive"
 SILENCE_TIMEOUT_US = 1_500_000.0  # a drive not heard so long is lost
-HEARTBEAT_PERIOD_US = 100_000.0  # of the host; the drives watch it (0x1016)
-HOST_NODE_ID = 127
 
 
 class Phase(Enum):
@@ -96,11 +84,6 @@ class GroupSettings:
     tolerance_qc: float = 1.0
     smoothness: float = 0.0
 
-    @property
-    def max_segment_ms(self) -> int:
-        """So short that three records fit in the buffer time: it then bounds what is committed."""
-        return int(min(MAX_SEGMENT_MS, max(4, self.buffer_time_ms // MIN_RECORDS_AHEAD)))
-
 
 class _Step(NamedTuple):
     """The last controlword of a walk through the CiA 402 states."""
@@ -120,19 +103,13 @@ class Group:
         self.clearing: deque[int] = deque()  # axes whose buffer is to be cleared (0x60C4-06)
         self.events: deque[Event] = deque()
         self.deadline_us = -math.inf
-        self.clock = MasterClock()
-        self.sync_count = 0
+        self.time = Timekeeper(self.axes, settings.sync_period_us, self.outbox)
         self.start_us: float | None = None  # host time of the start SYNC: path time zero
-        self.reference: Reference | None = None
         self.reason = ""  # why the last motion was aborted, or what is wrong now
-        self._fitter = Fitter(
-            [axis.fit for axis in self.axes],
-            settings.tolerance_qc,
-            settings.max_segment_ms,
-            settings.smoothness,
+        self.feeder = Feeder(
+            self.axes, settings.buffer_time_ms, settings.tolerance_qc, settings.smoothness
         )
         self._now_us = -math.inf
-        self._configured = False  # all drives are brought up; from now on they are watched
         self._request: Future[None] | None = None
         self.motion: Future[None] | None = None  # ends with the motion in progress
         self._phase_us = -math.inf  # since when the group is in this phase
@@ -140,16 +117,10 @@ class Group:
         self._uncleared: set[int] = set()
         self._planned_start_us: float | None = None
         self._armed: set[int] = set()  # node ids whose "enable ip mode" is not yet on the bus
-        self._sync_due_us = math.inf
-        self._sync_on_its_way = False
-        self._last_sync_us: float | None = None
-        self._sync_interval_us = 0.0
-        self._unstamped_us: float | None = None  # when the SYNC was that awaits its time stamp
-        self._heartbeat_due_us = math.inf
         self._handlers: dict[int, Callable[[bytes, float], None]] = {}
         self._echo_handlers: dict[int, Callable[[float], None]] = {
             epos2.SYNC: self._on_sync,
-            epos2.TIME: self.clock.reset,
+            epos2.TIME: self.time.clock.reset,
         }
         for axis in self.axes:
             self._subscribe(axis)
@@ -159,8 +130,7 @@ class Group:
     def _subscribe(self, axis: Axis) -> None:
         def tpdo3(data: bytes, t_us: float) -> None:
             axis.on_tpdo3(data, t_us)
-            if all(other.latched is not None for other in self.axes):
-                self._follow_up()
+            self.time.on_answer()
 
         def emergency(data: bytes, t_us: float) -> None:
             if axis.on_emergency(data):
@@ -211,29 +181,9 @@ class Group:
             handler(frame.data, t_us)
 
     def _on_sync(self, t_us: float) -> None:
-        """A SYNC was on the bus at `t_us`; the drives now say what their clocks were."""
-        self._sync_on_its_way = False
-        self._follow_up()  # of the last one, if a drive never answered it
-        self.sync_count += 1
-        if self._last_sync_us is not None:
-            self._sync_interval_us = t_us - self._last_sync_us
-        self._last_sync_us = self._unstamped_us = t_us
-        for axis in self.axes:
-            axis.latched = None
+        self.time.on_sync(t_us)
         if self.phase is Phase.STARTING and self.start_us is None:
             self.start_us = t_us
-
-    def _follow_up(self) -> None:
-        """Send the stamp of the last SYNC to all drives (note, 2.4), once."""
-        if self._unstamped_us is None:
-            return
-        latched = [axis.latched for axis in self.axes if axis.latched is not None]
-        interval_us = self._sync_interval_us if self.clock.last_stamp is not None else 0.0
-        stamp = self.clock.stamp(self._unstamped_us, latched)
-        self._unstamped_us = None
-        for axis in self.axes:
-            axis.compare_clock(stamp, interval_us)
-        self.outbox.append(Frame(epos2.TIME_STAMP, stamp.to_bytes(4, "little")))
 
     # ------------------------------------------------------------------ requests
 
@@ -242,10 +192,7 @@ class Group:
 
         Call it when all drives are brought up; from now on they are watched.
         """
-        self._configured = True
-        self.outbox.append(Frame(epos2.TIME, time_of_day))
-        self._sync_due_us = now_us + self.settings.sync_period_us
-        self._heartbeat_due_us = now_us
+        self.time.start(now_us, time_of_day)
         for axis in self.axes:
             axis.heard_us = now_us
         self.advance(now_us)
@@ -342,15 +289,11 @@ class Group:
         """
         if self.phase is not Phase.STANDING:
             raise TrajectoryError(f"can't move: the drives are {self.describe_phase()}")
-        demands = [axis.demand_qc for axis in self.axes]
-        self._fitter.begin(reference, [demand for demand in demands if demand is not None])
-        self.reference = reference
+        self.feeder.begin(reference)
         self.reason = ""
         self.start_us = None
         self._planned_start_us = start_us
         self.motion = Future()
-        for axis in self.axes:
-            axis.account = BufferAccount()
         self._enter(Phase.PRIMING)
 
     def replace(self, join: Callable[[Reference, int], Reference]) -> None:
@@ -359,26 +302,11 @@ class Group:
 
         `TrajectoryError` (from `join`, too) leaves the motion in progress as it is.
         """
-        if self.reference is None or self.phase not in IN_MOTION:
+        if self.phase not in IN_MOTION:
             raise TrajectoryError(f"nothing to replace: the drives are {self.describe_phase()}")
-        if any(axis.account.ended for axis in self.axes):
-            raise TrajectoryError("the motion in progress is already ending")
-        earliest = min(axis.account.committed_ms for axis in self.axes)
-        reference = join(self.reference.trimmed(earliest), self.committed_ms)
-        self._fitter.replace(reference)
-        self.reference = reference
+        self.feeder.replace(join)
 
     # ------------------------------------------------------------------ what is known
-
-    @property
-    def committed_ms(self) -> int:
-        """Path time up to which the drives already have records of every axis."""
-        return max(axis.account.committed_ms for axis in self.axes)
-
-    @property
-    def ending(self) -> bool:
-        """Whether the end of the motion is already committed to a drive."""
-        return any(axis.account.ended for axis in self.axes)
 
     def path_ms(self, now_us: float) -> float | None:
         """Path time at `now_us`; None before the start SYNC."""
@@ -405,36 +333,17 @@ class Group:
         self._now_us = now_us
         self._watch_silence()
         self._progress()
-        if self._unstamped_us is not None and now_us >= self._unstamped_us + FOLLOW_UP_US:
-            self._follow_up()
-        if now_us >= self._heartbeat_due_us:
-            self.outbox.append(Frame(epos2.HEARTBEAT + HOST_NODE_ID, b"\x05"))  # operational
-            self._heartbeat_due_us = now_us + HEARTBEAT_PERIOD_US
-        if now_us >= self._sync_due_us and self._may_sync():
-            self._send_sync()
-        self.deadline_us = min(
-            self._heartbeat_due_us,
-            self._sync_due_us if self._may_sync() else now_us + HEARTBEAT_PERIOD_US,
-            self._phase_deadline_us(),
-            math.inf if self._unstamped_us is None else self._unstamped_us + FOLLOW_UP_US,
-        )
+        self.time.advance(now_us, self._may_sync())
+        self.deadline_us = min(self.time.deadline_us(self._may_sync()), self._phase_deadline_us())
 
     def _may_sync(self) -> bool:
         """Between arming and the start no SYNC but the start's; just before it none at all."""
-        if self._sync_on_its_way or self.phase is Phase.ARMING:
+        if self.phase is Phase.ARMING:
             return False
         if self.phase is not Phase.PRIMING:
             return True
         planned = self._planned_start_us
         return planned is not None and self._now_us < planned - 2 * ARM_LEAD_US
-
-    def _send_sync(self) -> None:
-        self._sync_on_its_way = True
-        self.outbox.append(Frame(epos2.SYNC))
-        period = self.settings.sync_period_us
-        self._sync_due_us += period
-        if not self._now_us < self._sync_due_us <= self._now_us + period:
-            self._sync_due_us = self._now_us + period
 
     def _enter(self, phase: Phase) -> None:
         self.phase = phase
@@ -450,9 +359,9 @@ class Group:
         if self.phase in (Phase.DISABLED, Phase.STANDING, Phase.FAULT):
             return math.inf
         if self.phase is Phase.MOVING and self.start_us is not None:
-            end_ms = self.committed_ms + END_TIMEOUT_MS
-            return self.start_us + 1000 * min(self._next_feed_ms(), end_ms)
-        if self.phase is Phase.PRIMING and self._next_feed_ms() <= 0:
+            end_ms = self.feeder.committed_ms + END_TIMEOUT_MS
+            return self.start_us + 1000 * min(self.feeder.due_ms, end_ms)
+        if self.phase is Phase.PRIMING and self.feeder.due_ms <= 0:
             return self._now_us
         if self.phase is Phase.PRIMING and self._planned_start_us is not None:
             arm_us = self._planned_start_us - ARM_LEAD_US
@@ -563,13 +472,9 @@ class Group:
         if self._feed():
             return
         planned = self._planned_start_us
-        missing = [
-            axis
-            for axis in self.axes
-            if not (axis.account.on_bus == axis.account.sent == axis.used)
-        ]
+        missing = self.feeder.unreported()
         if not missing:
-            if self._sync_on_its_way or (
+            if self.time.sync_on_its_way or (
                 planned is not None and self._now_us < planned - ARM_LEAD_US
             ):
                 return
@@ -595,15 +500,11 @@ class Group:
                 )
         elif self._now_us >= self._start_due_us():
             self._enter(Phase.STARTING)
-            self._sync_due_us = self._now_us
-            self._send_sync()
+            self.time.sync_now(self._now_us)
 
     def _start_due_us(self) -> float:
         """When the start SYNC goes out: not before the answers to the last SYNC are through."""
-        due = self._planned_start_us or -math.inf
-        if self._last_sync_us is None:
-            return due
-        return max(due, self._last_sync_us + SYNC_ANSWER_US * (len(self.axes) + 1))
+        return max(self._planned_start_us or -math.inf, self.time.answered_us)
 
     def _confirm_start(self) -> None:
         if self.start_us is None:
@@ -623,42 +524,15 @@ class Group:
     # ------------------------------------------------------------------ motion
 
     def _feed(self) -> bool:
-        """One record for the axis that needs it most; False if none needs any.
-
-        The buffers hold `buffer_time_ms` of motion, and never fewer than three records. One at
-        a time, so that between records whoever calls looks at the bus.
-        """
-        path_ms = self.path_ms(self._now_us) or 0.0
-        index = min(
-            (i for i, axis in enumerate(self.axes) if not axis.account.ended),
-            key=lambda i: self._feed_due_ms(self.axes[i].account),
-            default=None,
-        )
-        if index is None or self._feed_due_ms(self.axes[index].account) > path_ms:
-            return False
-        axis = self.axes[index]
+        """One record for the axis that needs it most; False if none needs any."""
         try:
-            record = self._fitter.next(index)
+            frame = self.feeder.next(self.path_ms(self._now_us) or 0.0)
         except TrajectoryError as error:
-            self._stop_all(f"{axis}: {error}")
+            self._stop_all(str(error))
             return False
-        if record is not None:
-            axis.account.send(record)
-            self.outbox.append(axis.record(record))
-        return record is not None
-
-    def _feed_due_ms(self, account: BufferAccount) -> float:
-        """Path time at which the buffer takes the next record."""
-        due = min(
-            account.committed_ms - self.settings.buffer_time_ms,
-            account.leaves_ms(MIN_RECORDS_AHEAD),
-        )
-        return max(due, account.leaves_ms(MAX_RECORDS_AHEAD))
-
-    def _next_feed_ms(self) -> float:
-        """Path time at which some axis takes its next record; inf when all have ended."""
-        accounts = [axis.account for axis in self.axes if not axis.account.ended]
-        return min(map(self._feed_due_ms, accounts), default=math.inf)
+        if frame is not None:
+            self.outbox.append(frame)
+        return frame is not None
 
     def _move(self) -> None:
         self._feed()
@@ -675,33 +549,20 @@ class Group:
                 return
         if not active:
             self._finish_motion()
-        elif path_ms > self.committed_ms + END_TIMEOUT_MS and self.ending:
+        elif path_ms > self.feeder.committed_ms + END_TIMEOUT_MS and self.feeder.ending:
             self._stop_all(f"{active[0]} is still active after its end record")
 
     def _audit(self, axis: Axis, t_us: float) -> None:
-        """Compare what the drive says of its buffer with the books.
-
-        A lost record stays lost, while a report that a busy host has read late is made good by
-        the next. So it is a fault once the reports disagree for half the buffer time: what
-        follows a lost record in the FIFO is still to come then.
-        """
-        account = axis.account
-        wrong = account.mismatch(axis.free, t_us, self.path_ms(t_us))
-        if not wrong:
-            account.wrong_since_us = None
-        elif account.wrong_since_us is None:
-            account.wrong_since_us = t_us
-        elif t_us >= account.wrong_since_us + 500 * self.settings.buffer_time_ms:
+        wrong = self.feeder.audit(axis, t_us, self.path_ms(t_us))
+        if wrong:
             self._stop_all(f"{axis}: {wrong}")
 
     def _finish_motion(self) -> None:
         """All axes stand at their ends, enabled; bit 4 has to fall so that it can rise again."""
-        assert self.reference is not None
         for axis in self.axes:
             self.outbox.append(axis.controlword(cia402.ENABLE_OPERATION))
             axis.demand_qc = axis.account.last_position_qc
         self._enter(Phase.STANDING)
-        self.reference = None
         motion, self.motion = self.motion, None
         self.events.append(Event("done", "all axes have arrived"))
         if motion:
@@ -784,7 +645,7 @@ class Group:
             )
 
     def _silent(self, axis: Axis) -> bool:
-        return self._configured and self._now_us > axis.heard_us + SILENCE_TIMEOUT_US
+        return self.time.running and self._now_us > axis.heard_us + SILENCE_TIMEOUT_US
 
     def _watch_silence(self) -> None:
         watched = self.phase not in (Phase.FAULT, Phase.HALTING, Phase.RESETTING)
@@ -805,7 +666,7 @@ class Group:
 
     def _trouble(self) -> None:
         """An axis complains: all stop, whatever the group is doing."""
-        if not self._configured:
+        if not self.time.running:
             return
         if self.phase in IN_MOTION:
             self._stop_all(self._complaints())
@@ -822,7 +683,6 @@ class Group:
         self._fail_request(reason)
 
     def _fail_motion(self, reason: str) -> None:
-        self.reference = None
         motion, self.motion = self.motion, None
         if motion:
             self.events.append(Event("aborted", reason))

@@ -52,13 +52,13 @@ class PathCommander:
                 "ago: check header.stamp and the clocks",
                 TrajectoryError.OLD_HEADER_TIMESTAMP,
             )
-        group = self._group
+        group, feeder = self._group, self._group.feeder
         if group.phase is Phase.STANDING:
             self._begin(trajectory, start_us, now_us)
-        elif group.phase in IN_MOTION and group.reference is not None:
-            if group.ending:
-                end = group.reference.trimmed(group.reference.end_ms)
-                self._join(end, trajectory, group.reference.end_ms, group.reference.end_ms)
+        elif group.phase in IN_MOTION and feeder.reference is not None:
+            if feeder.ending:
+                end_ms = feeder.reference.end_ms
+                self._join(feeder.reference.trimmed(end_ms), trajectory, end_ms, end_ms)
                 self._waiting = _Waiting(trajectory, start_us)
             else:
                 self._take_over(trajectory, start_us, now_us)
@@ -71,7 +71,7 @@ class PathCommander:
         group = self._group
         if group.phase not in IN_MOTION:
             return None
-        if not group.ending:
+        if not group.feeder.ending:
             group.replace(lambda current, at_ms: stop(current, at_ms, self._limits))
         return group.motion
 

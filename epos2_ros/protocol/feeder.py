@@ -1,0 +1,122 @@
+"""Which record goes to which drive, and when: the fitter on one side, the books on the other.
+
+Nothing is sent that time does not leave room for. Three records are kept in every drive besides
+the one in execution, and `buffer_time_ms` of motion; 3.6.3 of the application note asks for two
+in the FIFO and leaves open whether the executing segment counts.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+from epos2_ros.errors import TrajectoryError
+from epos2_ros.motion.fit import Fitter
+from epos2_ros.motion.record import MAX_SEGMENT_MS
+from epos2_ros.motion.reference import Reference
+from epos2_ros.protocol import epos2
+from epos2_ros.protocol.axis import Axis
+from epos2_ros.protocol.buffer_account import BufferAccount
+from epos2_ros.protocol.frame import Frame
+
+MIN_RECORDS_AHEAD = 3  # in the FIFO, so that two remain when the next segment begins
+MAX_RECORDS_AHEAD = epos2.BUFFER_SIZE - 4
+
+
+class Feeder:
+    """Feeds the buffers of `axes` along a reference. Path times are ms since the start SYNC."""
+
+    def __init__(
+        self,
+        axes: Sequence[Axis],
+        buffer_time_ms: float,
+        tolerance_qc: float,
+        smoothness: float,
+    ) -> None:
+        self.reference: Reference | None = None
+        self._axes = axes
+        self._buffer_time_ms = buffer_time_ms
+        # So short that three records fit in the buffer time: it then bounds what is committed.
+        longest = int(min(MAX_SEGMENT_MS, max(4, buffer_time_ms // MIN_RECORDS_AHEAD)))
+        self._fitter = Fitter([axis.fit for axis in axes], tolerance_qc, longest, smoothness)
+
+    def begin(self, reference: Reference) -> None:
+        """A new motion, from where the drives stand."""
+        self._fitter.begin(reference, [axis.demand_qc or 0 for axis in self._axes])
+        self.reference = reference
+        for axis in self._axes:
+            axis.account = BufferAccount()
+
+    def replace(self, join: Callable[[Reference, int], Reference]) -> None:
+        """Go on along `join(current, at_ms)`, equal to the current reference before `at_ms`,
+        the end of what is committed. What `join` raises leaves everything as it is."""
+        if self.reference is None or self.ending:
+            raise TrajectoryError("the motion in progress is already ending")
+        earliest = min(axis.account.committed_ms for axis in self._axes)
+        reference = join(self.reference.trimmed(earliest), self.committed_ms)
+        self._fitter.replace(reference)
+        self.reference = reference
+
+    @property
+    def committed_ms(self) -> int:
+        """Path time up to which every drive has, or must get, records of what was committed."""
+        return max(axis.account.committed_ms for axis in self._axes)
+
+    @property
+    def ending(self) -> bool:
+        """Whether the end of the motion is already committed to a drive."""
+        return any(axis.account.ended for axis in self._axes)
+
+    @property
+    def due_ms(self) -> float:
+        """Path time at which some axis takes its next record; inf when all have ended."""
+        accounts = [axis.account for axis in self._axes if not axis.account.ended]
+        return min(map(self._due_ms, accounts), default=math.inf)
+
+    def next(self, path_ms: float) -> Frame | None:
+        """One record for the axis that needs it most; None if none needs any.
+
+        One at a time, so that between records whoever calls looks at the bus. TrajectoryError
+        when the reference can't be followed within tolerance and limits.
+        """
+        if self.due_ms > path_ms:
+            return None
+        index, axis = min(
+            ((i, axis) for i, axis in enumerate(self._axes) if not axis.account.ended),
+            key=lambda candidate: self._due_ms(candidate[1].account),
+        )
+        try:
+            record = self._fitter.next(index)
+        except TrajectoryError as error:
+            raise TrajectoryError(f"{axis}: {error}") from error
+        if record is None:
+            return None
+        axis.account.send(record)
+        return axis.record(record)
+
+    def unreported(self) -> list[Axis]:
+        """Axes that have not yet reported every record sent to them before the start."""
+        return [
+            axis for axis in self._axes if not axis.account.on_bus == axis.account.sent == axis.used
+        ]
+
+    def audit(self, axis: Axis, t_us: float, path_ms: float | None) -> str:
+        """What is wrong between an axis' report of its buffer and the books, or "".
+
+        A lost record stays lost, while a report that a busy host has read late is made good by
+        the next. So it is wrong once the reports disagree for half the buffer time: what follows
+        a lost record in the FIFO is still to come then.
+        """
+        account = axis.account
+        wrong = account.mismatch(axis.free, t_us, path_ms)
+        if not wrong:
+            account.wrong_since_us = None
+        elif account.wrong_since_us is None:
+            account.wrong_since_us = t_us
+        elif t_us >= account.wrong_since_us + 500 * self._buffer_time_ms:
+            return wrong
+        return ""
+
+    def _due_ms(self, account: BufferAccount) -> float:
+        due = min(account.committed_ms - self._buffer_time_ms, account.leaves_ms(MIN_RECORDS_AHEAD))
+        return max(due, account.leaves_ms(MAX_RECORDS_AHEAD))
