@@ -75,7 +75,7 @@ class Fitter:
             )
         self._axes = tuple(axes)
         self._tolerance = tolerance_qc
-        self._max_segment = max_segment_ms
+        self.max_segment_ms = max_segment_ms
         self._reference: Reference | None = None
         self._knots: list[_Knot] = []
 
@@ -113,7 +113,7 @@ class Fitter:
         limits = self._axes[axis]
         unit = limits.velocity_unit_qc_s
         left = reference.end_ms - knot.k
-        longest = min(self._max_segment, left)
+        longest = min(self.max_segment_ms, left)
         if knot.segments < 2:  # three segments: two records besides the one in execution
             longest = min(longest, max(1, (left - 1) // (2 - knot.segments)))
         grid = knot.k + np.arange(longest + 1)

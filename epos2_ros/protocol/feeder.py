@@ -14,6 +14,7 @@ from epos2_ros.errors import TrajectoryError
 from epos2_ros.motion.fit import Fitter
 from epos2_ros.motion.record import MAX_SEGMENT_MS
 from epos2_ros.motion.reference import Reference
+from epos2_ros.motion.stream import Stream
 from epos2_ros.protocol import epos2
 from epos2_ros.protocol.axis import Axis
 from epos2_ros.protocol.buffer_account import BufferAccount
@@ -21,6 +22,9 @@ from epos2_ros.protocol.frame import Frame
 
 MIN_RECORDS_AHEAD = 3  # in the FIFO, so that two remain when the next segment begins
 MAX_RECORDS_AHEAD = epos2.BUFFER_SIZE - 4
+STREAM_AHEAD_MS = 50.0
+"""Streamed points are 100–150 ms ahead: with more committed, the axes would have to stop at
+each. So a stream keeps this much ahead, whatever the buffer time is."""
 
 
 class Feeder:
@@ -36,14 +40,13 @@ class Feeder:
         self.reference: Reference | None = None
         self._axes = axes
         self._buffer_time_ms = buffer_time_ms
-        # So short that three records fit in the buffer time: it then bounds what is committed.
-        longest = int(min(MAX_SEGMENT_MS, max(4, buffer_time_ms // MIN_RECORDS_AHEAD)))
-        self._fitter = Fitter([axis.fit for axis in axes], tolerance_qc, longest, smoothness)
+        self._ahead_ms = buffer_time_ms
+        self._fitter = Fitter([axis.fit for axis in axes], tolerance_qc, smoothness=smoothness)
 
     def begin(self, reference: Reference) -> None:
         """A new motion, from where the drives stand."""
+        self._follow(reference)
         self._fitter.begin(reference, [axis.demand_qc or 0 for axis in self._axes])
-        self.reference = reference
         for axis in self._axes:
             axis.account = BufferAccount()
 
@@ -54,8 +57,16 @@ class Feeder:
             raise TrajectoryError("the motion in progress is already ending")
         earliest = min(axis.account.committed_ms for axis in self._axes)
         reference = join(self.reference.trimmed(earliest), self.committed_ms)
+        self._follow(reference)
         self._fitter.replace(reference)
+
+    def _follow(self, reference: Reference) -> None:
         self.reference = reference
+        streamed = isinstance(reference.motions[-1], Stream)
+        self._ahead_ms = min(self._buffer_time_ms, STREAM_AHEAD_MS if streamed else math.inf)
+        # So short that three records fit in it: it then bounds what is committed.
+        longest = max(4, self._ahead_ms // MIN_RECORDS_AHEAD)
+        self._fitter.max_segment_ms = int(min(MAX_SEGMENT_MS, longest))
 
     @property
     def committed_ms(self) -> int:
@@ -118,5 +129,5 @@ class Feeder:
         return ""
 
     def _due_ms(self, account: BufferAccount) -> float:
-        due = min(account.committed_ms - self._buffer_time_ms, account.leaves_ms(MIN_RECORDS_AHEAD))
+        due = min(account.committed_ms - self._ahead_ms, account.leaves_ms(MIN_RECORDS_AHEAD))
         return max(due, account.leaves_ms(MAX_RECORDS_AHEAD))
