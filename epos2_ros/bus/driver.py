@@ -12,6 +12,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures import TimeoutError as FutureTimeoutError
 from dataclasses import dataclass
+from functools import partial
 
 from epos2_ros.bus.bringup import Epos2Node
 from epos2_ros.bus.link import Link, open_bus
@@ -170,7 +171,16 @@ class Driver:
         start_us = None
         if trajectory.stamp_s:
             start_us = trajectory.stamp_s * 1e6 + wall_offset_us()
-        self._reactor.call(lambda: self._path.submit(trajectory, start_us, now_us()))
+        lead_ms = 0
+        while True:
+            begun_us = now_us()
+            placement = self._reactor.call(
+                partial(self._path.place, trajectory, start_us, begun_us, lead_ms)
+            )
+            reference = placement.join()
+            if self._reactor.call(partial(self._path.commit, placement, reference)):
+                return
+            lead_ms = round((now_us() - begun_us) / 500)  # twice as long as it took
 
     def stop_on_path(self) -> None:
         """All axes slow down together along the commanded path; returns when they stand."""

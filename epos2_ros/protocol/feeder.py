@@ -8,7 +8,7 @@ in the FIFO and leaves open whether the executing segment counts.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from epos2_ros.errors import TrajectoryError
 from epos2_ros.motion.fit import Fitter
@@ -50,15 +50,14 @@ class Feeder:
         for axis in self._axes:
             axis.account = BufferAccount()
 
-    def replace(self, join: Callable[[Reference, int], Reference]) -> None:
-        """Go on along `join(current, at_ms)`, equal to the current reference before `at_ms`,
-        the end of what is committed. What `join` raises leaves everything as it is."""
-        if self.reference is None or self.ending:
-            raise TrajectoryError("the motion in progress is already ending")
+    def replace(self, reference: Reference) -> None:
+        """Go on along `reference`, equal to the current one up to the end of what is committed."""
+        if self.ending:
+            raise ValueError("the end of the motion is committed already")
         earliest = min(axis.account.committed_ms for axis in self._axes)
-        reference = join(self.reference.trimmed(earliest), self.committed_ms)
-        self._follow(reference)
-        self._fitter.replace(reference)
+        trimmed = reference.trimmed(earliest)
+        self._follow(trimmed)
+        self._fitter.replace(trimmed)
 
     def _follow(self, reference: Reference) -> None:
         self.reference = reference

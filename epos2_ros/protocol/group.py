@@ -296,16 +296,6 @@ class Group:
         self.motion = Future()
         self._enter(Phase.PRIMING)
 
-    def replace(self, join: Callable[[Reference, int], Reference]) -> None:
-        """Change the motion in progress: `join(current, at_ms)` gives what is commanded from
-        `at_ms` on, the end of what is already committed to the drives.
-
-        `TrajectoryError` (from `join`, too) leaves the motion in progress as it is.
-        """
-        if self.phase not in IN_MOTION:
-            raise TrajectoryError(f"nothing to replace: the drives are {self.describe_phase()}")
-        self.feeder.replace(join)
-
     # ------------------------------------------------------------------ what is known
 
     def path_ms(self, now_us: float) -> float | None:

@@ -4,12 +4,18 @@ The group knows records and drives, the motion layer curves; here a trajectory's
 group's phase. Three cases: the axes stand (the motion begins with a start SYNC), they move (the
 new trajectory takes over at the end of what is committed to the drives), or the end is already
 committed (the new trajectory waits for it and begins from rest).
+
+Working out how to get onto a new trajectory can take longer than a short buffer lasts. So it is
+three steps: `place` and `commit` are quick, and between them `Placement.join` computes on values
+that do not change, in whatever thread. Where the drives have meanwhile been fed past the
+take-over, `commit` says so, and it is placed anew.
 """
 
 from __future__ import annotations
 
 from concurrent.futures import Future
-from typing import NamedTuple
+from dataclasses import dataclass
+from enum import Enum
 
 from epos2_ros.config import DriverConfig
 from epos2_ros.errors import TrajectoryError
@@ -24,11 +30,40 @@ from epos2_ros.protocol.group import IN_MOTION, Group, Phase
 LATE_START_US = 50_000.0  # a trajectory joined midway from rest starts so much after its message
 
 
-class _Waiting(NamedTuple):
-    """A trajectory that begins when the axes have come to rest."""
+class Way(Enum):
+    """How a trajectory begins."""
 
+    BEGIN = "from rest"
+    TAKE_OVER = "from the motion in progress"
+    WAIT = "when the motion in progress has ended"
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Where on path time a trajectory is to begin, and what the axes are doing until then."""
+
+    way: Way
     trajectory: Trajectory
-    start_us: float | None
+    stamp_us: float | None  # its own zero, in host time; None: as soon as possible
+    current: Reference
+    at_ms: int
+    start_ms: int
+    planned_start_us: float | None  # of the start SYNC
+    limits: Limits
+    start_tolerance: float
+    allow_partial: bool
+
+    def join(self) -> Reference:
+        """The way there and along it; TrajectoryError where there is none."""
+        return join(
+            self.current,
+            self.trajectory,
+            self.limits,
+            at_ms=self.at_ms,
+            start_ms=self.start_ms,
+            start_tolerance=self.start_tolerance,
+            allow_partial=self.allow_partial,
+        )
 
 
 class PathCommander:
@@ -39,40 +74,79 @@ class PathCommander:
         self._config = config
         self._units = tuple(AxisUnits.of(axis) for axis in config.axes)
         self._limits = Limits.of(config.axes)
-        self._waiting: _Waiting | None = None
+        self._waiting: Placement | None = None
 
-    def submit(self, trajectory: Trajectory, start_us: float | None, now_us: float) -> None:
-        """Run a trajectory whose own zero is at `start_us` (None: now).
+    def submit(self, trajectory: Trajectory, stamp_us: float | None, now_us: float) -> None:
+        """Run a trajectory whose own zero is at `stamp_us` (None: now), all in one step.
 
         TrajectoryError: it is refused, and what the axes are doing goes on untouched.
         """
-        if start_us is not None and start_us + trajectory.duration_s * 1e6 <= now_us:
+        placement = self.place(trajectory, stamp_us, now_us)
+        self.commit(placement, placement.join())
+
+    def place(
+        self,
+        trajectory: Trajectory,
+        stamp_us: float | None,
+        now_us: float,
+        lead_ms: int = 0,
+    ) -> Placement:
+        """Where it begins, by what the group is doing now; it takes over `lead_ms` after the end
+        of what is committed. TrajectoryError when it can't begin."""
+        if stamp_us is not None and stamp_us + trajectory.duration_s * 1e6 <= now_us:
             raise TrajectoryError(
-                f"the trajectory ended {(now_us - start_us) / 1e6 - trajectory.duration_s:.3f} s "
+                f"the trajectory ended {(now_us - stamp_us) / 1e6 - trajectory.duration_s:.3f} s "
                 "ago: check header.stamp and the clocks",
                 TrajectoryError.OLD_HEADER_TIMESTAMP,
             )
         group, feeder = self._group, self._group.feeder
         if group.phase is Phase.STANDING:
-            self._begin(trajectory, start_us, now_us)
-        elif group.phase in IN_MOTION and feeder.reference is not None:
-            if feeder.ending:
-                end_ms = feeder.reference.end_ms
-                self._join(feeder.reference.trimmed(end_ms), trajectory, end_ms, end_ms)
-                self._waiting = _Waiting(trajectory, start_us)
-            else:
-                self._take_over(trajectory, start_us, now_us)
-        else:
+            return self._from_rest(trajectory, stamp_us, now_us)
+        if group.phase not in IN_MOTION or feeder.reference is None:
             raise TrajectoryError(f"can't move: the drives are {group.describe_phase()}")
+        if feeder.ending:
+            end_ms = feeder.reference.end_ms
+            return self._placement(
+                Way.WAIT, trajectory, stamp_us, feeder.reference.trimmed(end_ms), end_ms, end_ms
+            )
+        start_us = now_us if stamp_us is None else stamp_us
+        return self._placement(
+            Way.TAKE_OVER,
+            trajectory,
+            stamp_us,
+            feeder.reference,
+            feeder.committed_ms + lead_ms,
+            round((start_us - group.zero_us(now_us)) / 1000),
+        )
+
+    def commit(self, placement: Placement, reference: Reference) -> bool:
+        """Follow `reference`, which `placement.join()` gave; False when it came too late."""
+        group, feeder = self._group, self._group.feeder
+        match placement.way:
+            case Way.BEGIN:
+                if group.phase is not Phase.STANDING:
+                    return False
+                group.begin(reference, placement.planned_start_us)
+            case Way.TAKE_OVER:
+                if feeder.reference is not placement.current or group.phase not in IN_MOTION:
+                    return False
+                if feeder.ending or feeder.committed_ms > placement.at_ms:
+                    return False
+                feeder.replace(reference)
+            case Way.WAIT:
+                if group.phase not in IN_MOTION:
+                    return False
+                self._waiting = placement
+        return True
 
     def stop(self) -> Future[None] | None:
         """Slow down along the path from the end of what is committed; None if nothing moves."""
         self._waiting = None
-        group = self._group
-        if group.phase not in IN_MOTION:
+        group, feeder = self._group, self._group.feeder
+        if group.phase not in IN_MOTION or feeder.reference is None:
             return None
-        if not group.feeder.ending:
-            group.replace(lambda current, at_ms: stop(current, at_ms, self._limits))
+        if not feeder.ending:
+            feeder.replace(stop(feeder.reference, feeder.committed_ms, self._limits))
         return group.motion
 
     def advance(self, now_us: float) -> None:
@@ -82,37 +156,44 @@ class PathCommander:
         waiting, self._waiting = self._waiting, None
         if self._group.phase is Phase.STANDING:
             try:
-                self._begin(*waiting, now_us)
+                self.submit(waiting.trajectory, waiting.stamp_us, now_us)
             except TrajectoryError as error:
                 self._group.announce("aborted", str(error))
 
-    def _begin(self, trajectory: Trajectory, start_us: float | None, now_us: float) -> None:
-        """From rest, on a start SYNC: as soon as possible, at the stamp, or joined midway."""
-        start_ms = 0
-        if start_us is not None and start_us < now_us + LATE_START_US:
-            zero_us = now_us + LATE_START_US
-            start_ms, start_us = round((start_us - zero_us) / 1000), zero_us
+    def _from_rest(
+        self, trajectory: Trajectory, stamp_us: float | None, now_us: float
+    ) -> Placement:
+        """On a start SYNC: as soon as possible, at the stamp, or joined midway."""
+        start_ms, planned_start_us = 0, stamp_us
+        if stamp_us is not None and stamp_us < now_us + LATE_START_US:
+            planned_start_us = now_us + LATE_START_US
+            start_ms = round((stamp_us - planned_start_us) / 1000)
         here = [
             unit.from_qc(float(axis.demand_qc or 0))
             for unit, axis in zip(self._units, self._group.axes, strict=True)
         ]
         rest = Reference.at_rest(self._units, here)
-        self._group.begin(self._join(rest, trajectory, 0, start_ms), start_us)
+        return self._placement(Way.BEGIN, trajectory, stamp_us, rest, 0, start_ms, planned_start_us)
 
-    def _take_over(self, trajectory: Trajectory, start_us: float | None, now_us: float) -> None:
-        zero_us = self._group.zero_us(now_us)
-        start_ms = round(((now_us if start_us is None else start_us) - zero_us) / 1000)
-        self._group.replace(lambda current, at_ms: self._join(current, trajectory, at_ms, start_ms))
-
-    def _join(
-        self, current: Reference, trajectory: Trajectory, at_ms: int, start_ms: int
-    ) -> Reference:
-        return join(
-            current,
+    def _placement(
+        self,
+        way: Way,
+        trajectory: Trajectory,
+        stamp_us: float | None,
+        current: Reference,
+        at_ms: int,
+        start_ms: int,
+        planned_start_us: float | None = None,
+    ) -> Placement:
+        return Placement(
+            way,
             trajectory,
+            stamp_us,
+            current,
+            at_ms,
+            start_ms,
+            planned_start_us,
             self._limits,
-            at_ms=at_ms,
-            start_ms=start_ms,
-            start_tolerance=self._config.start_tolerance,
-            allow_partial=self._config.allow_partial_joints_goal,
+            self._config.start_tolerance,
+            self._config.allow_partial_joints_goal,
         )
