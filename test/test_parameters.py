@@ -81,6 +81,7 @@ def test_every_value_arrives(make):
             "ipm.tolerance": 2.0,
             "constraints.start_tolerance": 0.002,
             "allow_partial_joints_goal": True,
+            "state_rate": 100.0,
             "axes.x.node_id": 11,
             "axes.x.type": "prismatic",
             "axes.x.counts_per_turn": 4096,
@@ -132,6 +133,7 @@ def test_every_value_arrives(make):
         tolerance=2.0,
         start_tolerance=0.002,
         allow_partial_joints_goal=True,
+        state_rate=100.0,
     )
 
 

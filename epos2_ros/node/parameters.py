@@ -1,23 +1,13 @@
-"""The parameters of the driver node: what there is, what is allowed, and what it makes.
+"""The node's parameters: `epos2_ros.parameters` as ROS declares, describes and changes them.
 
-Every parameter is one `Spec` in a table. From it come the declaration (type, range and
-description, as `ros2 param describe` shows them), the checks and the line a wrong value gets.
-"Not set" is a value of the parameter's own type (an infinite limit, an empty name, 0 where 0
-makes no sense), so that `ros2 param dump` writes a file which loads again.
-
-A wrong or unknown parameter does not keep the node from coming up: the line is kept, the
-default stands in, and `Parameters.config` (the lifecycle transition "configure") raises it
-until the value has been put right with `ros2 param set` or in the file.
+A wrong or unknown parameter does not keep the node from coming up: the default stands in, and
+the lifecycle transition "configure" fails with its line until the value has been put right with
+`ros2 param set` or in the file.
 """
 
 from __future__ import annotations
 
-from array import array
-from collections import Counter
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
-from difflib import get_close_matches
-from math import inf, isfinite
 from typing import Any
 
 from rcl_interfaces.msg import (
@@ -29,168 +19,8 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from epos2_ros.config import AxisConfig, DriverConfig, HomingConfig, SimulationConfig
-from epos2_ros.errors import ConfigurationError
-
-MAX_AXES = 127  # CANopen node ids are 1 … 127
-# CiA 301, bit rates of the physical layer.
-BIT_RATES = (10_000, 20_000, 50_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
-
-
-@dataclass(frozen=True)
-class Spec:
-    """One parameter. The default's type is the parameter's; `low` and `high` are inclusive.
-
-    For a list, `low` and `high` hold for each element, and a list of numbers has the default's
-    length.
-    """
-
-    default: Any
-    meaning: str
-    low: float = -inf
-    high: float = inf
-    choices: tuple[Any, ...] = ()
-    read_only: bool = False
-
-    @property
-    def allowed(self) -> str:
-        """What may be written, in words."""
-        if self.choices:
-            *most, last = self.choices
-            return f"{', '.join(map(str, most))} or {last}" if most else str(last)
-        if isinstance(self.default, bool):
-            return "true or false"
-        if isinstance(self.default, int):
-            return f"a whole number{self._bounds}"
-        if isinstance(self.default, float):
-            return f"a number{self._bounds}"
-        if isinstance(self.default, str):
-            return "text"
-        if isinstance(self.default[0], float):
-            return f"a list of {len(self.default)} numbers{self._bounds}"
-        return f"a list of 1 to {MAX_AXES} names, each once"
-
-    @property
-    def _bounds(self) -> str:
-        low, high = (f"{v:.12g}" for v in (self.low, self.high))
-        if isfinite(self.low) and isfinite(self.high):
-            return f" from {low} to {high}"
-        return f" of at least {low}" if isfinite(self.low) else ""
-
-    @property
-    def descriptor(self) -> ParameterDescriptor:
-        """As ROS declares it; what a range cannot say stands in `additional_constraints`."""
-        fixed = "fixed at start" if self.read_only else "changes only while unconfigured"
-        descriptor = ParameterDescriptor(
-            description=self.meaning,
-            additional_constraints=f"{self.allowed}; {fixed}",
-            read_only=self.read_only,
-        )
-        if isinstance(self.default, float):
-            descriptor.floating_point_range = [
-                FloatingPointRange(from_value=self.low, to_value=self.high)
-            ]
-        elif type(self.default) is int and not self.choices:
-            descriptor.integer_range = [
-                IntegerRange(from_value=int(self.low), to_value=int(self.high))
-            ]
-        return descriptor
-
-    def read(self, value: Any) -> Any:
-        """The value as this parameter's type; ValueError when it is not allowed.
-
-        Whole numbers are accepted where numbers are asked for, as YAML writers expect.
-        """
-        if not isinstance(self.default, list):
-            return self._read_one(value, self.default)
-        if not isinstance(value, (list, tuple, array)):
-            raise ValueError
-        values = [self._read_one(v, self.default[0]) for v in value]
-        if isinstance(self.default[0], str):
-            valid = 1 <= len(set(values)) == len(values) <= MAX_AXES and all(values)
-        else:
-            valid = len(values) == len(self.default)
-        if not valid:
-            raise ValueError
-        return values
-
-    def _read_one(self, value: Any, like: Any) -> Any:
-        if isinstance(like, float) and type(value) is int:
-            value = float(value)
-        if type(value) is not type(like):
-            raise ValueError
-        if self.choices and value not in self.choices:
-            raise ValueError
-        if type(value) in (int, float) and not self.low <= value <= self.high:
-            raise ValueError
-        return value
-
-    def complaint(self, name: str, value: Any) -> str:
-        """The line for a value that is not allowed."""
-        shown = "[]" if value is None else _written(value)  # rcl reads an empty list as "not set"
-        return f"{name} is {shown}; it must be {self.allowed}"
-
-
-GROUP: dict[str, Spec] = {
-    "autostart": Spec(True, "configure and activate at start", read_only=True),
-    "can.interface": Spec("virtual", "python-can interface: socketcan, virtual, slcan, …"),
-    "can.channel": Spec("epos2", "channel of the interface, e.g. can0"),
-    "can.bitrate": Spec(1_000_000, "bit rate of the bus [bit/s]", choices=BIT_RATES),
-    "sync.period": Spec(0.1, "period of the SYNC [s]", 0.005, 1.0),
-    "sync.source": Spec("host", "who is the clock: host, or the joint whose drive is"),
-    "ipm.buffer_time": Spec(
-        0.5,
-        "motion kept ahead in each drive's buffer, and how long a committed motion is before "
-        "a new trajectory can take over [s]",
-        0.05,
-        10.0,
-    ),
-    "ipm.tolerance": Spec(
-        1.0, "largest deviation of the executed curve from the commanded one [qc]", 0.5, 10_000.0
-    ),
-    "constraints.start_tolerance": Spec(
-        0.01, "how far the first point may lie from where the robot is [rad or m]", 0.0
-    ),
-    "allow_partial_joints_goal": Spec(
-        False, "accept a trajectory for some of the joints; the others hold"
-    ),
-    "state_rate": Spec(50.0, "rate of /joint_states [Hz]", 0.1, 1000.0),
-    "status_rate": Spec(10.0, "rate of ~/buffer_status [Hz]", 0.1, 1000.0),
-    "simulation.drift_ppm": Spec(
-        0.0, "simulated drives: clocks are off by up to this much [ppm]", 0.0, 10_000.0
-    ),
-    "simulation.seed": Spec(0, "simulated drives: seed of everything random", 0, 2**31 - 1),
-    "simulation.log": Spec("", "simulated drives: .npz file written when the bus closes; '': none"),
-}
-
-AXIS: dict[str, Spec] = {
-    "drive": Spec("epos2", "family of the drive", choices=("epos2",)),
-    "node_id": Spec(1, "CANopen node id", 1, MAX_AXES),
-    "type": Spec("revolute", "revolute [rad] or prismatic [m]", choices=("revolute", "prismatic")),
-    "counts_per_turn": Spec(2000, "quadrature counts per motor turn [qc]", 4, 10_000_000),
-    "gear_ratio": Spec(1.0, "motor turns per output turn", 1e-6, 1e6),
-    "lead": Spec(0.0, "prismatic: metres per output turn; 0: not set", 0.0, 1e3),
-    "direction": Spec(1, "1, or -1 when the joint turns against the motor", choices=(1, -1)),
-    "offset": Spec(0.0, "joint position where the drive reads 0 [rad or m]", -1e6, 1e6),
-    "velocity_notation": Spec(
-        0, "drive velocity unit is 10^n rpm (object 0x608B)", choices=(0, -1, -2, -3)
-    ),
-    "min_position": Spec(-inf, "lower soft limit [rad or m]; -inf: none"),
-    "max_position": Spec(inf, "upper soft limit [rad or m]; inf: none"),
-    "max_velocity": Spec(inf, "limit [rad/s or m/s]; inf: none", 1e-9),
-    "max_acceleration": Spec(inf, "limit [rad/s² or m/s²]; inf: none", 1e-9),
-    "stop_deceleration": Spec(
-        0.0, "of halt and quick stop (0x6084, 0x6085) [unit/s²]; 0: the drive's own", 0.0, 1e9
-    ),
-    "max_following_error": Spec(2000, "[qc], object 0x6065", 1, 2**32 - 1),
-    "homing.method": Spec(0, "object 0x6098; 0: no homing", -128, 127),
-    "homing.speeds": Spec(
-        [0.0, 0.0], "to the switch and to zero [unit/s]; 0, 0: the drive's own", 0.0, 1e6
-    ),
-    "homing.acceleration": Spec(0.0, "[unit/s²]; 0: the drive's own", 0.0, 1e9),
-    "homing.offset": Spec(0.0, "from the home position to zero [unit]", -1e6, 1e6),
-    "homing.order": Spec(0, "axes of the lowest order home first", 0, 127),
-}
+from epos2_ros.config import DriverConfig
+from epos2_ros.parameters import DriverParameters, Spec
 
 
 class Parameters:
@@ -200,80 +30,30 @@ class Parameters:
     """
 
     def __init__(self, node: Node, changeable: Callable[[], bool]) -> None:
-        self._node = node
         self._changeable = changeable
-        self._specs: dict[str, Spec] = {}
-        self._complaints: dict[str, str] = {}
-        # What files and command line say, whether declared or not; rclpy has no public name for it.
-        self._overrides = {name: p.value for name, p in node._parameter_overrides.items()}
-
-        joints = [f"joint_{n}" for n in range(1, 7)]
-        self._declare("joints", Spec(joints, "in the order of /joint_states", read_only=True))
-        for name, spec in GROUP.items():
-            self._declare(name, spec)
-        in_process = self["can.interface"] == "virtual"
-        self._declare("simulate", Spec(in_process, "run a simulated drive for every joint"))
-        for place, joint in enumerate(self["joints"], start=1):
-            for name, spec in AXIS.items():
-                default = place if name == "node_id" else spec.default
-                self._declare(f"axes.{joint}.{name}", spec, default)
-        for name in self._overrides:
-            if not node.has_parameter(name):
-                self._complaints[name] = self._unknown(name)
-
+        # What files and command line say, whether declared or not; rclpy has no public name for
+        # it. Without what rclpy has declared itself, such as use_sim_time.
+        overrides = node._parameter_overrides.items()
+        self._parameters = DriverParameters(
+            {name: p.value for name, p in overrides if not node.has_parameter(name)}
+        )
+        for name, spec in self._parameters.specs.items():
+            value = self._parameters.values[name]
+            node.declare_parameter(name, value, descriptor(spec), ignore_override=True)
         node.add_on_set_parameters_callback(self._review)
-        node.add_post_set_parameters_callback(self._corrected)
+        node.add_post_set_parameters_callback(self._take)
 
     def __getitem__(self, name: str) -> Any:
-        return self._node.get_parameter(name).value
+        return self._parameters.values[name]
 
     def config(self) -> DriverConfig:
         """The parameters as they stand; ConfigurationError for the first that is wrong."""
-        for complaint in self._complaints.values():
-            raise ConfigurationError(complaint)
-        axes = tuple(self._axis(joint) for joint in self["joints"])
-        self._check_group(axes)
-        return DriverConfig(
-            axes=axes,
-            interface=self["can.interface"],
-            channel=self["can.channel"],
-            bitrate=self["can.bitrate"],
-            simulate=self["simulate"],
-            sync_period=self["sync.period"],
-            sync_source=self["sync.source"],
-            buffer_time=self["ipm.buffer_time"],
-            tolerance=self["ipm.tolerance"],
-            start_tolerance=self["constraints.start_tolerance"],
-            allow_partial_joints_goal=self["allow_partial_joints_goal"],
-            simulation=SimulationConfig(
-                drift_ppm=self["simulation.drift_ppm"],
-                seed=self["simulation.seed"],
-                log=self["simulation.log"] or None,
-            ),
-        )
-
-    def _declare(self, name: str, spec: Spec, default: Any = None) -> None:
-        value = spec.default if default is None else default
-        if name in self._overrides:
-            try:
-                value = spec.read(self._overrides[name])
-            except ValueError:
-                self._complaints[name] = spec.complaint(name, self._overrides[name])
-        self._specs[name] = spec
-        self._node.declare_parameter(name, value, spec.descriptor, ignore_override=True)
-
-    def _unknown(self, name: str) -> str:
-        line = f"{name} is {_written(self._overrides[name])}, but there is no such parameter"
-        joints = self["joints"]
-        if name.startswith("axes.") and not any(name.startswith(f"axes.{j}.") for j in joints):
-            return f"{line}; the joints are {', '.join(joints)}"
-        close = get_close_matches(name, self._specs, n=1)
-        return f"{line}; did you mean {close[0]}?" if close else line
+        return self._parameters.config()
 
     def _review(self, changes: Iterable[Parameter]) -> SetParametersResult:
         """Refuses at `ros2 param set` what would make `config` fail, and changes too late."""
         for change in changes:
-            spec = self._specs.get(change.name)
+            spec = self._parameters.specs.get(change.name)
             if spec is None:  # rclpy's own, such as use_sim_time
                 continue
             if not self._changeable():
@@ -286,79 +66,22 @@ class Parameters:
                 return SetParametersResult(successful=False, reason=reason)
         return SetParametersResult(successful=True)
 
-    def _corrected(self, changes: Iterable[Parameter]) -> None:
+    def _take(self, changes: Iterable[Parameter]) -> None:
         for change in changes:
-            self._complaints.pop(change.name, None)
-
-    def _axis(self, joint: str) -> AxisConfig:
-        at = f"axes.{joint}."
-
-        def value(name: str) -> Any:
-            return self[at + name]
-
-        if value("type") == "prismatic" and not value("lead"):
-            raise ConfigurationError(
-                f"{at}lead is 0; a prismatic joint needs the metres per output turn, above 0"
-            )
-        if not value("min_position") < value("max_position"):
-            raise ConfigurationError(
-                f"{at}min_position is {value('min_position'):g}; "
-                f"it must be below max_position, {value('max_position'):g}"
-            )
-        homing = None
-        if value("homing.method"):
-            speeds = tuple(value("homing.speeds"))
-            homing = HomingConfig(
-                method=value("homing.method"),
-                speeds=speeds if any(speeds) else None,
-                acceleration=value("homing.acceleration") or None,
-                offset=value("homing.offset"),
-                order=value("homing.order"),
-            )
-        return AxisConfig(
-            joint=joint,
-            node_id=value("node_id"),
-            drive=value("drive"),
-            type=value("type"),
-            counts_per_turn=value("counts_per_turn"),
-            gear_ratio=value("gear_ratio"),
-            lead=value("lead") or None,
-            direction=value("direction"),
-            offset=value("offset"),
-            velocity_notation=value("velocity_notation"),
-            min_position=_finite(value("min_position")),
-            max_position=_finite(value("max_position")),
-            max_velocity=_finite(value("max_velocity")),
-            max_acceleration=_finite(value("max_acceleration")),
-            stop_deceleration=value("stop_deceleration") or None,
-            max_following_error=value("max_following_error"),
-            homing=homing,
-        )
-
-    def _check_group(self, axes: tuple[AxisConfig, ...]) -> None:
-        uses = Counter(axis.node_id for axis in axes)
-        for axis in axes:
-            if uses[axis.node_id] > 1:
-                joints = ", ".join(a.joint for a in axes if a.node_id == axis.node_id)
-                raise ConfigurationError(
-                    f"axes.{axis.joint}.node_id is {axis.node_id}, which {joints} share; "
-                    "each drive on the bus needs its own, from 1 to 127"
-                )
-        sources = ["host", *self["joints"]]
-        if self["sync.source"] not in sources:
-            raise ConfigurationError(
-                f"sync.source is '{self['sync.source']}'; it must be one of {', '.join(sources)}"
-            )
+            if change.name in self._parameters.specs:
+                self._parameters.set(change.name, change.value)
 
 
-def _finite(value: float) -> float | None:
-    return value if isfinite(value) else None
-
-
-def _written(value: Any) -> str:
-    """A value as it would stand in a parameter file."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, (str, int, float)):
-        return repr(value)
-    return str(list(value))
+def descriptor(spec: Spec) -> ParameterDescriptor:
+    """As ROS declares it; what a range cannot say stands in `additional_constraints`."""
+    fixed = "fixed at start" if spec.read_only else "changes only while unconfigured"
+    result = ParameterDescriptor(
+        description=spec.meaning,
+        additional_constraints=f"{spec.allowed}; {fixed}",
+        read_only=spec.read_only,
+    )
+    if isinstance(spec.default, float):
+        result.floating_point_range = [FloatingPointRange(from_value=spec.low, to_value=spec.high)]
+    elif type(spec.default) is int and not spec.choices:
+        result.integer_range = [IntegerRange(from_value=int(spec.low), to_value=int(spec.high))]
+    return result
