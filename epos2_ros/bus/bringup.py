@@ -158,7 +158,7 @@ class Epos2Node:
 
     def _map(self, pdo: canopen.pdo.PdoMap, mapping: PdoMapping) -> None:
         pdo.clear()
-        pdo.cob_id = mapping.cob_id + (0 if mapping.shared else self.settings.node_id)
+        pdo.cob_id = mapping.cob_id + self.settings.node_id
         pdo.trans_type = mapping.transmission_type
         pdo.event_timer = None
         pdo.inhibit_time = {

@@ -23,7 +23,6 @@ from epos2_ros.config import DriverConfig
 from epos2_ros.errors import ConfigurationError, DriveError, Epos2RosError, MotionAborted
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.motion.units import AxisUnits
-from epos2_ros.protocol.axis import Axis
 from epos2_ros.protocol.clock import time_of_day
 from epos2_ros.protocol.epos2 import BUFFER_SIZE
 from epos2_ros.protocol.frame import Frame
@@ -228,8 +227,7 @@ class Driver:
         link = self._link
         return Snapshot(
             axes=tuple(
-                self._axis_snapshot(axis, units, path_ms)
-                for axis, units in zip(self._group.axes, self._units, strict=True)
+                self._axis_snapshot(index, path_ms) for index in range(len(self._units))
             ),
             state=self._group.phase.value,
             reason=self._group.reason,
@@ -241,7 +239,8 @@ class Driver:
             refused_frames=link.refused if link else 0,
         )
 
-    def _axis_snapshot(self, axis: Axis, units: AxisUnits, path_ms: float | None) -> AxisSnapshot:
+    def _axis_snapshot(self, index: int, path_ms: float | None) -> AxisSnapshot:
+        axis, units, clock = self._group.axes[index], self._units[index], self._group.time.clock
         nan = math.nan
         known = axis.position_qc is not None
         position_qc = float(axis.position_qc or 0)
@@ -260,8 +259,8 @@ class Driver:
             status_word=axis.buffer_status,
             fault=axis.trouble(),
             following_error_qc=axis.following_error_qc,
-            clock_offset_us=nan if axis.clock_offset_us is None else axis.clock_offset_us,
-            clock_drift_ppm=nan if axis.clock_drift_ppm is None else axis.clock_drift_ppm,
+            clock_offset_us=float(clock.offset_us[index]),
+            clock_drift_ppm=1e6 * float(clock.drift[index]),
             executed_qc=axis.demand_qc,
             records_sent=axis.account.sent,
         )

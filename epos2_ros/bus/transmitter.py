@@ -38,7 +38,7 @@ class Lane(IntEnum):
 def lane_of(can_id: int) -> Lane:
     """The lane of a frame, by its function code."""
     function = can_id & 0x780
-    if function == epos2.RPDO1 and can_id != epos2.TIME_STAMP:
+    if function == epos2.RPDO1:
         return Lane.RECORDS
     return Lane.SERVICE if function == 0x600 else Lane.URGENT
 

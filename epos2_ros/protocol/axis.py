@@ -10,10 +10,7 @@ from epos2_ros.motion.record import Record
 from epos2_ros.protocol import cia402, epos2
 from epos2_ros.protocol.buffer_account import BufferAccount
 from epos2_ros.protocol.cia402 import State
-from epos2_ros.protocol.clock import wrapped
 from epos2_ros.protocol.frame import Frame
-
-DRIFT_SMOOTHING = 0.1  # weight of the newest SYNC interval in the drift estimate
 
 
 @dataclass(frozen=True)
@@ -47,8 +44,6 @@ class Axis:
         self.heard_us = -math.inf
         self.restarted = False
         self.latched: int | None = None  # its clock at the last SYNC; None: not answered yet
-        self.clock_offset_us: float | None = None
-        self.clock_drift_ppm: float | None = None
         self.account = BufferAccount()
 
     def __str__(self) -> str:
@@ -86,20 +81,6 @@ class Axis:
         self.latched, statusword, self.current_ma = epos2.TPDO3_LAYOUT.unpack(data)
         self.report(statusword, t_us)
 
-    def compare_clock(self, stamp: int, interval_us: float) -> None:
-        """Its clock, as latched by a SYNC, against that SYNC's stamp.
-
-        The drive was set right `interval_us` ago (0: never), so what it is off now is drift.
-        """
-        if self.latched is None:
-            return
-        self.clock_offset_us = float(wrapped(self.latched - stamp))
-        if interval_us:
-            drift = self.clock_offset_us / interval_us * 1e6
-            if self.clock_drift_ppm is None:
-                self.clock_drift_ppm = drift
-            self.clock_drift_ppm += DRIFT_SMOOTHING * (drift - self.clock_drift_ppm)
-
     def on_tpdo4(self, data: bytes, t_us: float) -> None:
         self.demand_qc, self.buffer_status, self.following_error_qc = epos2.TPDO4_LAYOUT.unpack(
             data
@@ -135,3 +116,7 @@ class Axis:
     def record(self, record: Record) -> Frame:
         """RPDO1: one more reference point for the FIFO."""
         return Frame(epos2.RPDO1 + self.node_id, record.pack())
+
+    def time_stamp(self, stamp: int) -> Frame:
+        """RPDO3: when the last SYNC was."""
+        return Frame(epos2.RPDO3 + self.node_id, stamp.to_bytes(4, "little"))

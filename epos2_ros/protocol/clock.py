@@ -1,95 +1,147 @@
-"""The master clock that the drives' motion clocks follow.
+"""The master clock, and every drive's motion clock against it.
 
-Application note 2.4: TIME sets the motion clock of a drive to zero; after every SYNC the master
-sends the time at which that SYNC was really on the bus (0x1013), and each drive corrects its
-clock by the difference to what it latched. The stamp counts microseconds since TIME and wraps at
-2³² (every 71.6 minutes), as the drives' clocks do.
+Application note 2.4: TIME sets the motion clock of a drive to zero; every SYNC latches it; the
+master then tells the drive when that SYNC really was (0x1013), and the drive corrects its clock
+by the difference. Stamps count microseconds since TIME and wrap at 2³² (every 71.6 minutes), as
+the drives' clocks do.
 
 The host's own time of a SYNC is noisy (interrupt latency, a late thread), while every drive
-latches it to a microsecond by a quartz. So the stamps are a line fitted through the host's times
-over the time that passed on the drives' clocks, the median of them; a late time stamp is an
-outlier of that line and moves no drive.
+latches it to a microsecond by a quartz. So the master clock is a line fitted through the host's
+times over the drives' clocks, corrections taken out; a late time stamp is an outlier of that line
+and moves no drive. All drives see the same SYNCs: what is left of the noise moves them together.
+
+Between two corrections a drive drifts, and the line's slope says how fast. So a drive is not set
+right but ahead by what it loses in half a period: its error then swings evenly around zero.
 """
 
 from __future__ import annotations
 
+import math
 from collections import deque
-from statistics import median
+from collections.abc import Sequence
 
 import numpy as np
 
 WRAP_US = 1 << 32
-WINDOW = 100  # SYNCs the line is fitted through
+WINDOW = 100  # SYNCs a line is fitted through
 MIN_FIT = 4  # with fewer, the host's time is all there is
-OUTLIER = 4.0  # times the median deviation from the line …
+OUTLIER = 5.0  # times the median deviation from the line …
 OUTLIER_FLOOR_US = 5.0  # … and never less than this is an outlier
-MAX_DRIFT = 500e-6  # of a quartz against the host's: a line steeper than this is a mistake
+MAX_DRIFT = 500e-6  # of a quartz against the host's: a steeper line is a mistake
 _SECONDS_TO_1984 = 441_763_200  # from 1970-01-01 to 1984-01-01, the epoch of TIME_OF_DAY
 
 
-def wrapped(difference_us: int) -> int:
+def wrapped(difference_us: float) -> float:
     """A difference of two stamps as a signed number, whichever of them has wrapped."""
     return (difference_us + WRAP_US // 2) % WRAP_US - WRAP_US // 2
 
 
 class MasterClock:
-    """Gives every SYNC the stamp that the drives get."""
+    """The time since TIME, and what to tell each drive after a SYNC. Times in µs.
 
-    def __init__(self) -> None:
-        self.last_stamp: int | None = None  # what the drives were last set to
+    The master is the host, or the drive with index `master`, whom the others follow by
+    themselves; then only `master_us` and the diagnostics are of use here. `period_us` is that
+    of SYNC.
+    """
+
+    def __init__(self, drives: int, period_us: float, master: int | None = None) -> None:
         self.noise_us = 0.0  # median deviation of the host's times from the line
         self.outliers = 0
-        self._zero_us = 0.0
-        self._elapsed_us = 0.0  # on the drives' clocks since the first SYNC
-        self._seen: deque[tuple[float, float]] = deque(maxlen=WINDOW)  # elapsed, host's time
+        self.offset_us = np.full(drives, math.nan)  # of each drive at the last SYNC it answered
+        self.drift = np.zeros(drives)  # of each drive's quartz against the host's clock
+        self._period_us = period_us
+        self._master = master
+        self._kept_us = np.zeros(drives)  # how far from the master's time each drive is kept
+        self.reset(0.0)
 
     def reset(self, t_us: float) -> None:
         """TIME was on the bus at host time `t_us`: the drives count from there."""
         self._zero_us = t_us
-        self._elapsed_us = 0.0
-        self._seen.clear()
-        self.last_stamp = None
+        self._sync_us = self._sync_host_us = 0.0  # the last SYNC by the master and by the host
+        self._shown: list[int | None] = [None] * len(self.drift)  # then, corrected
+        self._free_us = np.zeros(len(self.drift))  # the clocks, had none ever been corrected
+        self._seen: deque[tuple[float, ...]] = deque(maxlen=WINDOW)  # host's time, `_free_us`
+        self._line: tuple[float, np.ndarray] | None = None  # host's time, ahead of it there
 
-    def stamp(self, t_us: float, latched: list[int]) -> int:
-        """Stamp (0x1013) of a SYNC seen on the bus at host time `t_us`.
+    def master_us(self, t_us: float) -> float:
+        """The master's time at host time `t_us`, near the last SYNC."""
+        rate = 1.0 if self._master is None else 1.0 + float(self.drift[self._master])
+        return self._sync_us + rate * (t_us - self._zero_us - self._sync_host_us)
 
-        `latched` are the clocks of the drives that answered it, before they are corrected.
+    def on_sync(self, t_us: float, latched: Sequence[int | None]) -> None:
+        """A SYNC was on the bus at host time `t_us`.
+
+        `latched` are the drives' clocks at that SYNC, before they are corrected; None: no answer.
         """
         host_us = t_us - self._zero_us
-        passed = [wrapped(clock - self.last_stamp) for clock in latched] if self.last_stamp else []
-        if passed:
-            self._elapsed_us += median(passed)
-        else:  # nothing but the host's clock to go by: begin anew
-            self._seen.clear()
-            self._elapsed_us = 0.0
-        self._seen.append((self._elapsed_us, host_us))
-        self.last_stamp = round(self._fitted(host_us)) % WRAP_US
-        return self.last_stamp
+        answered = [drive for drive, clock in enumerate(latched) if clock is not None]
+        for drive in answered:
+            clock, shown = latched[drive], self._shown[drive]
+            assert clock is not None
+            if shown is None:
+                self._free_us[drive] = clock
+            else:
+                self._free_us[drive] += wrapped(clock - shown)
+            self._shown[drive] = clock
+        if len(answered) == len(latched):
+            self._seen.append((host_us, *self._free_us))
+            self._fit()
+        self._sync_host_us = host_us + self._late_us(host_us, answered)
+        self._sync_us = self._sync_host_us
+        if self._master is not None:
+            self._sync_us = float(self._free_us[self._master])
+        due_us = self._sync_us + self._kept_us
+        for drive in answered:
+            self.offset_us[drive] = wrapped((latched[drive] or 0) - due_us[drive])
 
-    def _fitted(self, host_us: float) -> float:
-        """The line's value at the newest SYNC."""
+    def stamp(self, drive: int, after_us: float) -> int:
+        """What to tell a drive (0x1013) `after_us` after the last SYNC, which it answered."""
+        ahead_us = -self.drift[drive] * (after_us + self._period_us / 2)
+        return round(self._sync_us + self._kept_us[drive] + ahead_us) % WRAP_US
+
+    def corrected(self, drive: int, stamp: int) -> None:
+        """The drive has got its stamp of the last SYNC."""
+        self._shown[drive] = stamp
+
+    def keep(self) -> None:
+        """The last SYNC was the zero of a path: from there the drives go on as they were.
+
+        The time of a path is that of the drive's clock since its zero, so putting right what a
+        clock was off at the zero would put the path out of step by just that.
+        """
+        self._kept_us += np.nan_to_num(self.offset_us)
+        self.offset_us[:] = 0.0
+
+    def release(self) -> None:
+        """No path any more: all drives go back to the master's time."""
+        self._kept_us[:] = 0.0
+
+    def _fit(self) -> None:
+        """A line per drive: how far it is ahead of the host, over the host's time."""
         if len(self._seen) < MIN_FIT:
-            return host_us
-        elapsed, seen = np.array(self._seen).T
-        x = elapsed - elapsed[-1]
-        late = seen - elapsed  # varies by drift and noise only
-        offset, slope = _line(x, late)
-        deviation = np.abs(late - offset - slope * x)
+            return
+        seen = np.array(self._seen)
+        x, ahead = seen[:, :1] - seen[-1, 0], seen[:, 1:] - seen[:, :1]
+        # The noise is the host's and common to all drives: one verdict per SYNC.
+        bent = ahead - self.drift * x
+        noise = (bent - np.median(bent, axis=0)).mean(axis=1)
+        deviation = np.abs(noise - np.median(noise))
         self.noise_us = float(np.median(deviation))
         good = deviation <= max(OUTLIER * self.noise_us, OUTLIER_FLOOR_US)
-        if not good.all():
-            self.outliers += int(not good[-1])
-            offset, slope = _line(x[good], late[good])
-        return float(elapsed[-1] + offset)
+        self.outliers += int(not good[-1])
+        x, ahead = x[good], ahead[good]
+        middle, dx = ahead.mean(axis=0), x - x.mean()
+        slope = (dx * (ahead - middle)).sum(axis=0) / (dx * dx).sum()
+        self.drift = np.clip(slope, -MAX_DRIFT, MAX_DRIFT)
+        self._line = seen[-1, 0], middle - self.drift * x.mean()
 
-
-def _line(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """Offset at x = 0 and slope of the least-squares line, the slope within what a quartz does."""
-    mean_x, mean_y = x.mean(), y.mean()
-    spread = ((x - mean_x) ** 2).sum()
-    slope = ((x - mean_x) * (y - mean_y)).sum() / spread if spread else 0.0
-    slope = min(MAX_DRIFT, max(-MAX_DRIFT, slope))
-    return float(mean_y - slope * mean_x), float(slope)
+    def _late_us(self, host_us: float, answered: Sequence[int]) -> float:
+        """By how much the host's time of a SYNC has to be put later, going by the lines."""
+        if self._line is None or not answered:
+            return 0.0
+        at_us, ahead_us = self._line
+        expected_us = ahead_us + self.drift * (host_us - at_us)
+        return float(np.median((self._free_us - host_us - expected_us)[list(answered)]))
 
 
 def time_of_day(unix_s: float) -> bytes:

@@ -73,9 +73,8 @@ NMT = 0x000
 SYNC = 0x080
 EMCY = 0x080  # + node id
 TIME = 0x100
-TIME_STAMP = 0x200  # RPDO3 of every drive
 TPDO1, TPDO2, TPDO3, TPDO4 = 0x180, 0x280, 0x380, 0x480
-RPDO1, RPDO2, RPDO4 = 0x200, 0x300, 0x500
+RPDO1, RPDO2, RPDO3, RPDO4 = 0x200, 0x300, 0x400, 0x500
 HEARTBEAT = 0x700
 
 SYNCHRONOUS = 1
@@ -84,19 +83,18 @@ ASYNCHRONOUS = 255
 
 @dataclass(frozen=True)
 class PdoMapping:
-    """One PDO of a drive: number (1–4), COB-ID base (node id is added unless shared), objects."""
+    """One PDO of a drive: number (1–4), COB-ID without the node id, objects."""
 
     number: int
     cob_id: int
     transmission_type: int
     objects: tuple[tuple[int, int], ...]
-    shared: bool = False
 
 
 RPDO_MAPPINGS = (
     PdoMapping(1, RPDO1, ASYNCHRONOUS, ((INTERPOLATION_DATA_RECORD, 0),)),
     PdoMapping(2, RPDO2, SYNCHRONOUS, ((CONTROLWORD, 0),)),
-    PdoMapping(3, TIME_STAMP, ASYNCHRONOUS, ((HIGH_RESOLUTION_TIME_STAMP, 0),), shared=True),
+    PdoMapping(3, RPDO3, ASYNCHRONOUS, ((HIGH_RESOLUTION_TIME_STAMP, 0),)),
     PdoMapping(4, RPDO4, ASYNCHRONOUS, ((CONTROLWORD, 0),)),
 )
 TPDO_MAPPINGS = (

@@ -122,15 +122,17 @@ class Group:
             epos2.SYNC: self._on_sync,
             epos2.TIME: self.time.clock.reset,
         }
-        for axis in self.axes:
-            self._subscribe(axis)
+        for index in range(len(self.axes)):
+            self._subscribe(index)
 
     # ------------------------------------------------------------------ frames in
 
-    def _subscribe(self, axis: Axis) -> None:
+    def _subscribe(self, index: int) -> None:
+        axis = self.axes[index]
+
         def tpdo3(data: bytes, t_us: float) -> None:
             axis.on_tpdo3(data, t_us)
-            self.time.on_answer()
+            self.time.on_answer(t_us)
 
         def emergency(data: bytes, t_us: float) -> None:
             if axis.on_emergency(data):
@@ -153,6 +155,7 @@ class Group:
             self._handlers[cob_id] = self._heard(axis, cob_id, handler)
         self._echo_handlers[epos2.RPDO1 + node] = lambda t_us: axis.account.seen_on_bus(t_us)
         self._echo_handlers[epos2.RPDO2 + node] = lambda t_us: self._armed.discard(node)
+        self._echo_handlers[epos2.RPDO3 + node] = lambda t_us: self.time.on_stamp(index)
 
     def _heard(
         self, axis: Axis, cob_id: int, handler: Callable[[bytes, float], None]
@@ -181,9 +184,10 @@ class Group:
             handler(frame.data, t_us)
 
     def _on_sync(self, t_us: float) -> None:
-        self.time.on_sync(t_us)
-        if self.phase is Phase.STARTING and self.start_us is None:
+        starts = self.phase is Phase.STARTING and self.start_us is None
+        if starts:
             self.start_us = t_us
+        self.time.on_sync(t_us, begins_path=starts)
 
     # ------------------------------------------------------------------ requests
 
@@ -295,6 +299,7 @@ class Group:
         self._planned_start_us = start_us
         self.motion = Future()
         self._enter(Phase.PRIMING)
+        self.time.before_path(max(self._now_us, (start_us or -math.inf) - 2 * ARM_LEAD_US))
 
     # ------------------------------------------------------------------ what is known
 
@@ -327,18 +332,15 @@ class Group:
         self.deadline_us = min(self.time.deadline_us(self._may_sync()), self._phase_deadline_us())
 
     def _may_sync(self) -> bool:
-        """Between arming and the start no SYNC but the start's; just before it none at all."""
-        if self.phase is Phase.ARMING:
-            return False
-        if self.phase is not Phase.PRIMING:
-            return True
-        planned = self._planned_start_us
-        return planned is not None and self._now_us < planned - 2 * ARM_LEAD_US
+        """Between arming and the start no SYNC but the start's."""
+        return self.phase is not Phase.ARMING
 
     def _enter(self, phase: Phase) -> None:
         self.phase = phase
         self._phase_us = self._now_us
         self._steps.clear()
+        if phase not in IN_MOTION:
+            self.time.after_path()
 
     def _accept(self, request: Future[None], phase: Phase) -> None:
         self._fail_request(f"given up for another request ({phase.value})")
@@ -464,7 +466,7 @@ class Group:
         planned = self._planned_start_us
         missing = self.feeder.unreported()
         if not missing:
-            if self.time.sync_on_its_way or (
+            if not self.time.clear or (
                 planned is not None and self._now_us < planned - ARM_LEAD_US
             ):
                 return
@@ -490,7 +492,7 @@ class Group:
                 )
         elif self._now_us >= self._start_due_us():
             self._enter(Phase.STARTING)
-            self.time.sync_now(self._now_us)
+            self.time.sync(self._now_us)
 
     def _start_due_us(self) -> float:
         """When the start SYNC goes out: not before the answers to the last SYNC are through."""

@@ -1,7 +1,12 @@
 """TIME, SYNC, the time stamps that follow each SYNC, and the host's heartbeat.
 
-One correction per SYNC (application note, 2.4): the stamp of a SYNC goes to all drives once, when
-every drive has answered the SYNC with its own clock, or when the wait for that is over.
+One correction per SYNC and drive (application note, 2.4), and only for a drive that has answered
+the SYNC with its own clock: a stamp for a SYNC that it missed would move it by a whole period. A
+SYNC goes out when the stamps of the last one are seen on the bus, or a drive could take a stamp
+for that of the next.
+
+Fast drives are corrected right after the SYNC, slow ones half a period later. Fast and slow drives
+part the fastest; so the distance between any two never grows for longer than half a period.
 """
 
 from __future__ import annotations
@@ -19,24 +24,32 @@ HEARTBEAT_PERIOD_US = 100_000.0  # of the host; the drives watch it (0x1016)
 HOST_NODE_ID = 127
 OPERATIONAL = b"\x05"
 ANSWER_US = 500.0  # per axis, for its two synchronous TPDOs, before the next SYNC
-FOLLOW_UP_US = 40_000.0  # a SYNC's time stamp waits no longer for a drive's answer
+FOLLOW_UP_US = 40_000.0  # the time stamps wait no longer for a drive's answer, …
+FOLLOW_UP_SHARE = 0.25  # … and no longer than this share of the period
 
 
 class Timekeeper:
     """Keeps the clocks of `axes` together; puts its frames into `outbox`. Times are host µs."""
 
     def __init__(self, axes: Sequence[Axis], period_us: float, outbox: deque[Frame]) -> None:
-        self.clock = MasterClock()
+        self.clock = MasterClock(len(axes), period_us)
         self.sync_count = 0
-        self.sync_on_its_way = False  # handed over, not yet seen on the bus
         self._axes = axes
         self._period_us = period_us
         self._outbox = outbox
         self._last_sync_us = -math.inf
-        self._interval_us = 0.0
-        self._unstamped_us = math.inf  # when the SYNC was that awaits its time stamp
         self._sync_due_us = math.inf
         self._heartbeat_due_us = math.inf
+        self._path_sync_us = math.inf  # from this SYNC on a path is about to begin
+        self._begins_path = False  # the last SYNC did
+        self._forget()
+
+    def _forget(self) -> None:
+        """Nothing is on its way."""
+        self._syncing = False  # a SYNC was handed over and is not yet seen on the bus
+        self._unstamped_us = math.inf  # when the SYNC was that awaits its time stamps
+        self._slow: list[int] = []  # drives to be corrected half a period after the SYNC
+        self._stamps: dict[int, int] = {}  # by drive: handed over, not yet seen on the bus
 
     @property
     def running(self) -> bool:
@@ -44,64 +57,115 @@ class Timekeeper:
 
     def start(self, now_us: float, time_of_day: bytes) -> None:
         """TIME sets every drive's motion clock to zero; SYNC and heartbeat begin."""
+        self._forget()
         self._outbox.append(Frame(epos2.TIME, time_of_day))
         self._sync_due_us = now_us + self._period_us
         self._heartbeat_due_us = now_us
 
-    def on_sync(self, t_us: float) -> None:
+    # ------------------------------------------------------------------ what was on the bus
+
+    def on_sync(self, t_us: float, begins_path: bool = False) -> None:
         """A SYNC was on the bus; the drives now say what their clocks were."""
-        self.sync_on_its_way = False
-        self._follow_up()  # of the last one, if a drive never answered it
+        self._forget()
         self.sync_count += 1
-        self._interval_us = t_us - self._last_sync_us
         self._last_sync_us = self._unstamped_us = t_us
+        self._begins_path = begins_path
+        if begins_path:
+            self._path_sync_us = math.inf
         for axis in self._axes:
             axis.latched = None
 
-    def on_answer(self) -> None:
+    def on_answer(self, now_us: float) -> None:
         """A drive has answered the last SYNC."""
         if all(axis.latched is not None for axis in self._axes):
-            self._follow_up()
+            self._follow_up(now_us)
+
+    def on_stamp(self, drive: int) -> None:
+        """A drive has got its time stamp."""
+        if drive in self._stamps:
+            self.clock.corrected(drive, self._stamps.pop(drive))
+
+    # ------------------------------------------------------------------ what is due
 
     def advance(self, now_us: float, may_sync: bool) -> None:
         """Send what is due; `may_sync` says whether a SYNC may go out now."""
-        if now_us >= self._unstamped_us + FOLLOW_UP_US:
-            self._follow_up()
+        if now_us >= self._follow_up_due_us:
+            self._follow_up(now_us)
+        if self._slow and now_us >= self._slow_due_us:
+            slow, self._slow = self._slow, []
+            self._correct(slow, now_us)
         if now_us >= self._heartbeat_due_us:
             self._outbox.append(Frame(epos2.HEARTBEAT + HOST_NODE_ID, OPERATIONAL))
             self._heartbeat_due_us = now_us + HEARTBEAT_PERIOD_US
-        if may_sync and not self.sync_on_its_way and now_us >= self._sync_due_us:
-            self._send_sync(now_us)
+        if may_sync and self.clear and now_us >= self._sync_due_us:
+            self.sync(now_us)
 
     def deadline_us(self, may_sync: bool) -> float:
         """When `advance` is wanted next."""
-        due = min(self._heartbeat_due_us, self._unstamped_us + FOLLOW_UP_US)
-        return min(due, self._sync_due_us) if may_sync and not self.sync_on_its_way else due
+        due = min(self._heartbeat_due_us, self._follow_up_due_us)
+        if self._slow:
+            due = min(due, self._slow_due_us)
+        return min(due, self._sync_due_us) if may_sync and self.clear else due
 
-    def sync_now(self, now_us: float) -> None:
-        """A SYNC out of turn; the period counts from it."""
-        self._sync_due_us = now_us
-        self._send_sync(now_us)
+    @property
+    def clear(self) -> bool:
+        """Whether a SYNC may follow: nothing that belongs to the last one is on its way."""
+        return not self._syncing and self._unstamped_us == math.inf and not self._stamps
 
     @property
     def answered_us(self) -> float:
         """When the answers to the last SYNC are through: no other should go out before."""
         return self._last_sync_us + ANSWER_US * (len(self._axes) + 1)
 
-    def _send_sync(self, now_us: float) -> None:
-        self.sync_on_its_way = True
+    def sync(self, now_us: float) -> None:
+        """A SYNC goes out; the period counts from it if it is out of turn."""
+        self._syncing = True
         self._outbox.append(Frame(epos2.SYNC))
         self._sync_due_us += self._period_us
         if not now_us < self._sync_due_us <= now_us + self._period_us:
             self._sync_due_us = now_us + self._period_us
+        if now_us < self._path_sync_us:
+            self._sync_due_us = min(self._sync_due_us, self._path_sync_us)
 
-    def _follow_up(self) -> None:
+    # ------------------------------------------------------------------ paths
+
+    def before_path(self, sync_us: float) -> None:
+        """A path is going to begin: a SYNC at `sync_us`, and the clocks as close as can be."""
+        self._path_sync_us = sync_us
+        self._sync_due_us = min(self._sync_due_us, sync_us)
+
+    def after_path(self) -> None:
+        """No path in progress or to come."""
+        self._path_sync_us = math.inf
+        self.clock.release()
+
+    # ------------------------------------------------------------------ inside
+
+    @property
+    def _follow_up_due_us(self) -> float:
+        return self._unstamped_us + min(FOLLOW_UP_US, FOLLOW_UP_SHARE * self._period_us)
+
+    @property
+    def _slow_due_us(self) -> float:
+        return self._last_sync_us + self._period_us / 2
+
+    def _follow_up(self, now_us: float) -> None:
+        """The drives have answered, or had their time: correct those that have."""
         if self._unstamped_us == math.inf:
             return
-        corrected = self.clock.last_stamp is not None  # the drives were set right by a stamp
-        latched = [axis.latched for axis in self._axes if axis.latched is not None]
-        stamp = self.clock.stamp(self._unstamped_us, latched)
+        clock = self.clock
+        latched = [axis.latched for axis in self._axes]
+        clock.on_sync(self._unstamped_us, latched)
         self._unstamped_us = math.inf
-        for axis in self._axes:
-            axis.compare_clock(stamp, self._interval_us if corrected else 0.0)
-        self._outbox.append(Frame(epos2.TIME_STAMP, stamp.to_bytes(4, "little")))
+        if self._begins_path:
+            clock.keep()
+        answered = [drive for drive, value in enumerate(latched) if value is not None]
+        if self._last_sync_us < self._path_sync_us:
+            self._slow = [drive for drive in answered if clock.drift[drive] < 0]
+        self._correct([drive for drive in answered if drive not in self._slow], now_us)
+
+    def _correct(self, drives: Sequence[int], now_us: float) -> None:
+        for drive in drives:
+            stamp = self.clock.stamp(drive, now_us - self._last_sync_us)
+            self._stamps[drive] = stamp
+            self._outbox.append(self._axes[drive].time_stamp(stamp))
