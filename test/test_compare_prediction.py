@@ -61,8 +61,14 @@ def test_dual_mode_may_fire_twice_where_the_axis_slows_down_single_mode_not() ->
     assert len(predict(single, stop(600_000.0, 400e6), COUNTS).warnings) == 1
 
 
+def test_an_output_where_the_axis_stops_is_said() -> None:
+    (warning,) = predict(Trigger(Grid(0, 50)), stop(600_000.0, 400e6), COUNTS).warnings
+    assert warning.startswith("the axis stops or turns at 450 m, within 2 counts of an output")
+    assert predict(Trigger(Grid(25, 50)), stop(600_000.0, 400e6), COUNTS).warnings == ()
+
+
 def test_an_error_beyond_the_spacing_is_said() -> None:
-    trigger = Trigger(Grid(0, 10), extrapolated=True)
+    trigger = Trigger(Grid(5, 10), extrapolated=True)
     warnings = predict(trigger, stop(600_000.0, 400e6), COUNTS).warnings
     assert "12.5 counts (12.5 m), more than the 10 counts between outputs" in warnings[0]
 
@@ -168,13 +174,13 @@ def test_difference_between_predicted_and_reported() -> None:
     path = Path(np.array([0.0, 1e6]), np.array([0.0, 350.0]), np.full(2, 350.0))
     predicted = Trigger(Grid(0, 100)).fires(path)
     same = [(int(c), True, float(t)) for c, t in zip(predicted.count, predicted.t_us, strict=True)]
-    assert difference(predicted, same, 250.0) == ""
-    assert difference(predicted, same[:2], 250.0) == "3 events predicted, 2 reported"
-    late = [same[0], (200, True, same[1][2] + 400), same[2]]
-    assert difference(predicted, late, 250.0) == (
-        "event 2 at count 200 came +400 µs from where predicted"
+    assert difference(predicted, same) == ""
+    assert difference(predicted, same[:2]) == "3 events predicted, 2 reported"
+    late = [same[0], (200, True, same[1][2] + 9000), same[2]]
+    assert difference(predicted, late) == (
+        "event 2 at count 200 came +9000 µs from where predicted"
     )
     wrong = [same[0], (200, False, same[1][2]), same[2]]
-    assert difference(predicted, wrong, 250.0) == (
+    assert difference(predicted, wrong) == (
         "event 2 predicted at count 200 upward, reported at 200 downward"
     )

@@ -52,6 +52,10 @@ class Trigger:
         return found
 
 
+NEAR_COUNTS = 2
+"""So close to an output it is not known on which side of it the axis stands."""
+
+
 class Prediction(NamedTuple):
     """What will fire, by how many counts each may be off, and what is to be said of it."""
 
@@ -66,8 +70,12 @@ def predict(trigger: Trigger, path: Path, units: AxisUnits) -> Prediction:
     error = np.zeros(len(fired))
     if trigger.extrapolated:
         error = extrapolation_error(fired.acceleration_qc_s2)
-    warnings = _about_extrapolation(trigger, path, fired, error, units)
-    return Prediction(fired, error, (*warnings, *_about_time(trigger, fired, units)))
+    warnings = (
+        *_about_rests(trigger, path, units),
+        *_about_extrapolation(trigger, path, fired, error, units),
+        *_about_time(trigger, fired, units),
+    )
+    return Prediction(fired, error, warnings)
 
 
 def extrapolation_error(acceleration_qc_s2: FloatArray) -> FloatArray:
@@ -76,11 +84,12 @@ def extrapolation_error(acceleration_qc_s2: FloatArray) -> FloatArray:
 
 
 def difference(
-    predicted: Crossings, reported: Sequence[tuple[int, bool, float]], tolerance_us: float
+    predicted: Crossings, reported: Sequence[tuple[int, bool, float]], zero_us: float = 0.0
 ) -> str:
     """In words what was reported otherwise than predicted, "" if nothing.
 
-    `reported`: count, rising and time [µs] of each event, in order.
+    `reported`: count, rising and time [µs] of each event, in order; `zero_us` is where the
+    predicted times begin. A time may be off by a loop, and by what two counts take.
     """
     if len(reported) != len(predicted):
         return f"{len(predicted)} events predicted, {len(reported)} reported"
@@ -90,8 +99,9 @@ def difference(
                 f"event {n + 1} predicted at count {predicted.count[n]} {_way(predicted.rising[n])}"
                 f", reported at {count} {_way(rising)}"
             )
-        late_us = t_us - predicted.t_us[n]
-        if abs(late_us) > tolerance_us:
+        late_us = t_us - zero_us - predicted.t_us[n]
+        slow_us = 2e6 / max(abs(float(predicted.velocity_qc_s[n])), 1.0)
+        if abs(late_us) > LOOP_US + slow_us:
             return f"event {n + 1} at count {count} came {late_us:+.0f} µs from where predicted"
     return ""
 
@@ -104,6 +114,19 @@ _REMEDIES = (
     "cross at constant velocity, let the output fire in one direction only, or use a quadrature "
     "encoder on the drive's primary input, which is not extrapolated"
 )
+
+
+def _about_rests(trigger: Trigger, path: Path, units: AxisUnits) -> list[str]:
+    """Where the axis stops or turns on an output, a count of following error decides."""
+    for stop in rests(path)[0]:
+        near = trigger.counts.cell(stop - NEAR_COUNTS), trigger.counts.cell(stop + NEAR_COUNTS)
+        if near[0] != near[1]:
+            return [
+                f"the axis stops or turns at {units.from_qc(float(stop)):.9g} {units.unit}, within "
+                f"{NEAR_COUNTS} counts of an output, which may fire there several times or not at "
+                "all; move the outputs (half an interval, say) or the turning point"
+            ]
+    return []
 
 
 def _about_extrapolation(

@@ -159,7 +159,7 @@ class SingleTracker(_Reported):
 
     def __init__(self, reads: tuple[SdoRead, ...], value_0: int, increment: int) -> None:
         super().__init__(reads, Grid(value_0, abs(increment)))
-        self._value_0 = value_0
+        self.value_0 = value_0  # where it fires next, as last reported
         self._increment = increment
         self._cell = 0 if increment > 0 else 1  # beside the count that fires next
 
@@ -167,13 +167,13 @@ class SingleTracker(_Reported):
         self, values: Sequence[int], begin_us: float, end_us: float
     ) -> tuple[list[CompareEvent], list[SdoWrite]]:
         status, value_0, _ = values
-        fired, rest = divmod(_int32(value_0 - self._value_0), self._increment)
+        fired, rest = divmod(_int32(value_0 - self.value_0), self._increment)
         if rest or fired < 0:  # somebody else has set it
             self.lost = True
             return [], []
         cell = self._cell + (fired if self._increment > 0 else -fired)
         steps = self._straight(self._cell, cell, self._steps, self._read_us, end_us)
-        self._value_0, self._cell = value_0, cell
+        self.value_0, self._cell = value_0, cell
         # Each count fires when it is passed for the first time: nothing is needed of what the
         # drive must have seen, and did not count.
         while self._steps and self._steps[0].t_us < begin_us - SLACK_US:

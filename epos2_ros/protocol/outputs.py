@@ -1,0 +1,285 @@
+"""All position-triggered outputs of a bus: armed, followed, told as events in joint units.
+
+No I/O: pieces of the axes' paths and answers of drives go in, jobs for SDO and events come out.
+A drive is read once for each piece of path, that is once a SYNC; nothing is lost by that.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+from epos2_ros.compare_config import CompareConfig
+from epos2_ros.config import AxisConfig
+from epos2_ros.errors import ConfigurationError
+from epos2_ros.motion.compare import Prediction, Trigger, difference, predict
+from epos2_ros.motion.crossings import Grid, Path, Points
+from epos2_ros.motion.units import AxisUnits
+from epos2_ros.protocol import copley_compare, epos2_compare
+from epos2_ros.protocol.compare import CountScale, Output, check_pins
+from epos2_ros.protocol.compare_events import (
+    CompareEvent,
+    MarkerTracker,
+    SingleTracker,
+    Tracker,
+)
+from epos2_ros.protocol.copley_compare import SoftwareOutput
+from epos2_ros.protocol.frame import Frame
+from epos2_ros.protocol.path_watch import PathWatch
+from epos2_ros.protocol.sdo import SdoRead, SdoWrite
+
+SETTLING_US = 300_000.0  # after a motion: what it has fired is reported by then
+
+
+class OutputEvent(NamedTuple):
+    """An output fired."""
+
+    name: str
+    joint: str
+    t_us: float  # host time
+    position: float  # [unit]
+    velocity: float  # [unit/s]
+
+
+@dataclass(frozen=True)
+class SdoJob:
+    """Accesses to one drive, in order: first the writes, then the reads."""
+
+    axis: int  # its place among the axes
+    output: str
+    writes: tuple[SdoWrite, ...] = ()
+    reads: tuple[SdoRead, ...] = ()
+
+
+@dataclass
+class _Armed:
+    """An output at work, with what the drive has answered since the last piece of path."""
+
+    axis: int
+    output: Output
+    tracker: Tracker | None = None
+    answer: tuple[Sequence[int], float, float] | None = None
+    asked: bool = False
+    missed: int = 0  # of a marker
+    expected: Prediction | None = None  # of the motion in progress
+    told: list[tuple[int, bool, float]] = field(default_factory=list)  # since it was expected
+    settled: tuple[float, float] | None = None  # the motion's zero and end
+
+
+class Outputs:
+    """ConfigurationError for what the drives of `axes` can't do."""
+
+    def __init__(
+        self,
+        axes: Sequence[AxisConfig],
+        configs: Sequence[CompareConfig],
+        watches: Sequence[PathWatch],
+    ) -> None:
+        self.watches = tuple(watches)  # [axes]
+        self.jobs: deque[SdoJob] = deque()
+        self.events: deque[OutputEvent] = deque()
+        self.notices: deque[str] = deque()  # for the log
+        self._axes = tuple(axes)
+        self._units = [AxisUnits.of(axis) for axis in axes]
+        self._armed: dict[str, _Armed] = {}
+        check_pins(configs)
+        joints = [axis.joint for axis in axes]
+        for config in configs:
+            if config.joint not in joints:
+                raise config.refuse("joint", f"the joints are {', '.join(joints)}")
+        for index in range(len(axes)):
+            for output in self._make(index, configs):
+                self._armed[output.config.name] = _Armed(index, output)
+                self.notices.extend(CountScale(output.config, self._units[index]).remarks)
+
+    def _make(self, axis: int, configs: Sequence[CompareConfig]) -> Sequence[Output]:
+        mine = [config for config in configs if config.joint == self._axes[axis].joint]
+        family, units = self._axes[axis].drive, self._units[axis]
+        if family == "epos2":
+            return epos2_compare.make_outputs(mine, units)
+        if family == "copley":
+            return copley_compare.make_outputs(mine, units)
+        if mine:
+            raise mine[0].refuse("joint", f"a drive of family {family} has no such outputs")
+        return []
+
+    # ------------------------------------------------------------------ what is told to drives
+
+    def on_axis(self, axis: int) -> list[Output]:
+        """The outputs of one drive."""
+        return [armed.output for armed in self._armed.values() if armed.axis == axis]
+
+    def arm(self, axis: int, position_qc: int) -> list[SdoWrite]:
+        """What switches on all outputs of a drive whose axis stands at `position_qc`."""
+        mine = [armed for armed in self._armed.values() if armed.axis == axis]
+        software = [a.output for a in mine if isinstance(a.output, SoftwareOutput)]
+        words = copley_compare.trace_words(software)
+        writes = [copley_compare.reserve(words)] if words else []
+        for armed in mine:
+            writes += self._start(armed, position_qc)
+        return writes
+
+    def _start(self, armed: _Armed, position_qc: int) -> list[SdoWrite]:
+        armed.tracker = armed.output.tracker(position_qc)
+        armed.answer, armed.asked = None, False
+        return armed.output.arm(position_qc)
+
+    def set_positions(self, name: str, positions: Sequence[float]) -> None:
+        """A series gets other positions [unit], also while the axis moves."""
+        armed = self._find(name)
+        before = armed.output
+        if not isinstance(before, SoftwareOutput):
+            raise before.config.refuse("kind", "only a series takes new positions while in use")
+        after = before.with_positions(positions)
+        armed.output = after
+        armed.tracker = after.tracker(0)
+        self.jobs.append(SdoJob(armed.axis, name, tuple(after.update(before))))
+
+    def reconfigure(self, config: CompareConfig, position_qc: int) -> None:
+        """An output is configured anew while its axis stands at `position_qc`."""
+        armed = self._find(config.name)
+        configs = [
+            config if other.output.config.name == config.name else other.output.config
+            for other in self._armed.values()
+        ]
+        check_pins(configs)
+        if config.joint != armed.output.config.joint:
+            raise config.refuse("joint", "an output can't go to another drive while in use")
+        after = {output.config.name: output for output in self._make(armed.axis, configs)}
+        before, armed.output = armed.output, after[config.name]
+        writes = [*before.disarm(), *self._start(armed, position_qc)]
+        self.jobs.append(SdoJob(armed.axis, config.name, tuple(writes)))
+
+    def _find(self, name: str) -> _Armed:
+        if name not in self._armed:
+            raise ConfigurationError(
+                f"there is no output {name}; the outputs are {', '.join(self._armed) or 'none'}"
+            )
+        return self._armed[name]
+
+    # ------------------------------------------------------------------ prediction
+
+    def predict(self, axis: int, path: Path) -> dict[str, Prediction]:
+        """By output, what fires when the axis goes along `path` from where it is now."""
+        return {
+            name: predict(trigger, path, self._units[axis])
+            for name, armed in self._armed.items()
+            if armed.axis == axis and (trigger := _from_now_on(armed)) is not None
+        }
+
+    def expect(self, predictions: Mapping[str, Prediction]) -> None:
+        """A motion begins, with these to be held against what is reported."""
+        for name, prediction in predictions.items():
+            armed = self._find(name)
+            armed.expected, armed.told, armed.settled = prediction, [], None
+
+    def finished(self, axis: int, zero_us: float, end_us: float) -> None:
+        """The axis' motion, whose predictions count from `zero_us`, is over: compare."""
+        for armed in self._armed.values():
+            if armed.axis == axis and armed.expected is not None:
+                armed.settled = (zero_us, end_us)
+
+    def forget(self) -> None:
+        """The motion came to another end than was predicted."""
+        for armed in self._armed.values():
+            armed.expected, armed.told, armed.settled = None, [], None
+
+    def _settle(self, armed: _Armed, now_us: float) -> None:
+        if armed.expected is None or armed.settled is None:
+            return
+        zero_us, end_us = armed.settled
+        if now_us < end_us + SETTLING_US:
+            return
+        wrong = difference(armed.expected.fired, armed.told, zero_us)
+        if wrong:
+            self.notices.append(f"compare.{armed.output.config.name}: {wrong}")
+        armed.expected, armed.told, armed.settled = None, [], None
+
+    # ------------------------------------------------------------------ what comes back
+
+    def receive(self, frame: Frame, t_us: float, echo: bool) -> None:
+        """Take in a frame, after those who own the axes have."""
+        for axis in {armed.axis for armed in self._armed.values()}:
+            path = self.watches[axis].receive(frame, t_us, echo)
+            if path is not None:
+                self.advance(axis, path)
+
+    def advance(self, axis: int, path: Path) -> None:
+        """The axis has gone on along `path`; asks what there is to ask of its drive."""
+        for name, armed in self._armed.items():
+            tracker = armed.tracker
+            if armed.axis != axis or tracker is None:
+                continue
+            self._tell(armed, tracker.advance(path))
+            if armed.answer is not None and armed.answer[2] <= path.t_us[-1]:
+                self._report(armed, tracker, name)
+            if tracker.lost:
+                self._rearm(armed, tracker, round(float(path.position_qc[-1])))
+            elif tracker.reads and not armed.asked:
+                armed.asked = True
+                self.jobs.append(SdoJob(axis, name, reads=tracker.reads))
+            self._settle(armed, float(path.t_us[-1]))
+
+    def answered(self, job: SdoJob, values: Sequence[int], begin_us: float, end_us: float) -> None:
+        """The values that were read for a job, between two times."""
+        armed = self._armed[job.output]
+        if job.reads and armed.tracker is not None and job.reads == armed.tracker.reads:
+            armed.answer = (values, begin_us, end_us)
+
+    def failed(self, job: SdoJob, reason: str) -> None:
+        """A job came to nothing; a read is tried again."""
+        self._armed[job.output].asked = False
+        self.notices.append(f"compare.{job.output}: {reason}")
+
+    def _report(self, armed: _Armed, tracker: Tracker, name: str) -> None:
+        assert armed.answer is not None
+        events, writes = tracker.report(*armed.answer)
+        armed.answer, armed.asked = None, False
+        self._tell(armed, events)
+        if writes:
+            self.jobs.append(SdoJob(armed.axis, name, tuple(writes)))
+        if isinstance(tracker, MarkerTracker) and tracker.missed > armed.missed:
+            self.notices.append(
+                f"compare.{name}: {tracker.missed - armed.missed} captured positions were "
+                "overwritten before they could be read; shorten sync.period"
+            )
+            armed.missed = tracker.missed
+
+    def _rearm(self, armed: _Armed, tracker: Tracker, position_qc: int) -> None:
+        name = armed.output.config.name
+        self.notices.append(
+            f"compare.{name}: the drive's compare values no longer fit the axis' position "
+            "(was it homed, or the drive set by somebody else?); set anew"
+        )
+        self.jobs.append(SdoJob(armed.axis, name, tuple(self._start(armed, position_qc))))
+
+    def _tell(self, armed: _Armed, events: Sequence[CompareEvent]) -> None:
+        units, config = self._units[armed.axis], armed.output.config
+        for event in events:
+            if armed.expected is not None:
+                armed.told.append((event.position_qc, event.rising, event.t_us))
+            self.events.append(
+                OutputEvent(
+                    config.name,
+                    config.joint,
+                    event.t_us,
+                    units.from_qc(float(event.position_qc)),
+                    units.from_qc_s(event.velocity_qc_s),
+                )
+            )
+
+
+def _from_now_on(armed: _Armed) -> Trigger | None:
+    """What is left of a sequence begins at the value that the drive compares with now."""
+    trigger, tracker = armed.output.trigger, armed.tracker
+    if trigger is None or not isinstance(tracker, SingleTracker):
+        return trigger
+    assert isinstance(trigger.counts, Grid)
+    over = trigger.end is not None and (
+        tracker.value_0 > trigger.end if trigger.rising else tracker.value_0 < trigger.end
+    )
+    if over:
+        return replace(trigger, counts=Points(()))
+    return replace(trigger, counts=Grid(tracker.value_0, trigger.counts.step))

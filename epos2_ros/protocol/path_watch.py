@@ -1,0 +1,104 @@
+"""From the frames on the bus to the path that each axis has executed, piece by piece.
+
+At every SYNC a drive says where its axis is; what the axis was to do in between is known from the
+records that were sent (EPOS2, interpolated position mode) or from the move that was started
+(profile position mode).
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from epos2_ros.motion.crossings import Path
+from epos2_ros.motion.record import Record
+from epos2_ros.protocol import epos2
+from epos2_ros.protocol.buffer_account import BufferAccount
+from epos2_ros.protocol.executed_path import Demand, ExecutedPath
+from epos2_ros.protocol.frame import Frame
+from epos2_ros.protocol.group import Group, Phase
+from epos2_ros.protocol.profile_axes import ProfileAxis
+
+_ON_THE_PATH = (Phase.STARTING, Phase.MOVING, Phase.STANDING, Phase.PRIMING, Phase.ARMING)
+
+
+class PathWatch(Protocol):
+    """One axis."""
+
+    executed: ExecutedPath
+
+    def receive(self, frame: Frame, t_us: float, echo: bool) -> Path | None:
+        """The piece of path that this frame completes, if any."""
+
+
+class RecordPathWatch:
+    """One EPOS2 axis of the group. The group takes a frame in first."""
+
+    def __init__(self, group: Group, index: int) -> None:
+        self.executed = ExecutedPath()
+        self._group = group
+        self._axis = group.axes[index]
+        self._account: BufferAccount | None = None  # of the motion the records belong to
+        self._records: list[Record] = []  # sent before its start
+        self._started = False
+        self._demand: Demand | None = None
+        self._sync_us: float | None = None
+        self._age_us = 0.0  # of what the drive says at a SYNC
+
+    def receive(self, frame: Frame, t_us: float, echo: bool) -> Path | None:
+        """The piece of path that this frame completes, if any."""
+        node = self._axis.node_id
+        if echo and frame.can_id == epos2.RPDO1 + node:
+            self._on_record(Record.unpack(frame.data))
+        elif frame.can_id == epos2.SYNC:
+            self._on_sync(t_us)
+        elif not echo and frame.can_id == epos2.TPDO4 + node:
+            return self._on_sample()
+        return None
+
+    def _on_record(self, record: Record) -> None:
+        if self._axis.account is not self._account:
+            self._account, self._records, self._started = self._axis.account, [], False
+        if not self._started:
+            self._records.append(record)
+        elif self._demand is not None:
+            self._demand.add(record, self._axis.fit.velocity_unit_qc_s)
+
+    def _on_sync(self, t_us: float) -> None:
+        self._sync_us = t_us
+        if not self._started and self._records and self._group.start_us == t_us:
+            assert self._axis.demand_qc is not None
+            self._started = True
+            self._demand = Demand.resting(self._axis.demand_qc, t_us)
+            for record in self._records:
+                self._demand.add(record, self._axis.fit.velocity_unit_qc_s)
+
+    def _on_sample(self) -> Path | None:
+        demand_qc = self._axis.demand_qc
+        if self._sync_us is None or demand_qc is None:
+            return None
+        if self._group.phase not in _ON_THE_PATH:
+            self._demand = None
+        # What the drive says is from its last control cycle; the demand tells when that was.
+        if self._demand is not None:
+            when_us = self._demand.when(demand_qc, self._sync_us)
+            if when_us is not None:
+                self._age_us = self._sync_us - when_us
+        position = demand_qc - self._axis.following_error_qc
+        return self.executed.sample(self._sync_us - self._age_us, position, 0.0, self._demand)
+
+
+class ProfilePathWatch:
+    """One axis in profile position mode. `ProfileAxes` takes a frame in first."""
+
+    def __init__(self, axis: ProfileAxis) -> None:
+        self.executed = ExecutedPath()
+        self._axis = axis
+
+    def receive(self, frame: Frame, t_us: float, echo: bool) -> Path | None:
+        """The piece of path that this frame completes, if any."""
+        axis = self._axis
+        if echo or frame.can_id != epos2.TPDO2 + axis.node_id or axis.position_qc is None:
+            return None
+        return self.executed.sample(
+            axis.sample_us, axis.position_qc, axis.velocity_qc_s, axis.demand
+        )
