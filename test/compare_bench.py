@@ -17,8 +17,9 @@ from epos2_ros.bus.sdo_jobs import perform, read_position, write_all
 from epos2_ros.compare_config import CompareConfig
 from epos2_ros.config import AxisConfig, DriverConfig
 from epos2_ros.errors import DriveError
-from epos2_ros.motion.trapezoid import Trapezoid
+from epos2_ros.motion.trapezoid import Trapezoid, in_step
 from epos2_ros.motion.units import AxisUnits
+from epos2_ros.protocol import epos2
 from epos2_ros.protocol.outputs import OutputEvent, Outputs
 from epos2_ros.protocol.path_watch import PathWatch, ProfilePathWatch, RecordPathWatch
 from epos2_ros.protocol.profile_axes import ProfileAxes
@@ -41,15 +42,15 @@ class CompareBench(Bench):
         drives: Sequence[Epos2 | Copley],
     ) -> None:
         self.all_axes = config.axes
-        epos2 = tuple(axis for axis in config.axes if axis.drive == "epos2")
+        in_group = tuple(axis for axis in config.axes if axis.drive == "epos2")
         copley = [axis for axis in config.axes if axis.drive == "copley"]
         self.fired: list[OutputEvent] = []
         self.notices: list[str] = []
         self.profile = ProfileAxes([(axis.joint, axis.node_id) for axis in copley])
-        super().__init__(replace(config, axes=epos2), drives, bring_up=False)  # type: ignore[arg-type]
+        super().__init__(replace(config, axes=in_group), drives, bring_up=False)  # type: ignore[arg-type]
         self.copley_nodes = [CopleyNode(self.network, CopleySettings.of(axis)) for axis in copley]
         by_joint: dict[str, PathWatch] = {
-            axis.joint: RecordPathWatch(self.group, n) for n, axis in enumerate(epos2)
+            axis.joint: RecordPathWatch(self.group, n) for n, axis in enumerate(in_group)
         }
         by_joint |= {axis.joint: ProfilePathWatch(axis) for axis in self.profile.axes}
         self.outputs = Outputs(config.axes, outputs, [by_joint[axis.joint] for axis in config.axes])
@@ -78,31 +79,27 @@ class CompareBench(Bench):
         return self.started_us
 
     def start(self, **targets: float) -> Future[None]:
-        moves: list[Trapezoid | None] = []
+        moves: dict[str, Trapezoid] = {}
         for axis in self.profile.axes:
             config = next(c for c in self.all_axes if c.joint == axis.joint)
             units = AxisUnits.of(config)
             if axis.joint not in targets:
-                moves.append(None)
                 continue
             assert axis.position_qc is not None
             assert config.max_velocity is not None
             assert config.max_acceleration is not None
-            moves.append(
-                Trapezoid(
-                    float(axis.position_qc),
-                    units.to_qc(targets[axis.joint]),
-                    abs(units.to_qc_s(config.max_velocity)),
-                    abs(units.to_qc_s(config.max_acceleration)),
-                )
+            moves[axis.joint] = Trapezoid(
+                float(axis.position_qc),
+                units.to_qc(targets[axis.joint]),
+                abs(units.to_qc_s(config.max_velocity)),
+                abs(units.to_qc_s(config.max_acceleration)),
             )
-        return self.profile.move(moves)
+        together = dict(zip(moves, in_step(list(moves.values())), strict=True))
+        return self.profile.move([together.get(axis.joint) for axis in self.profile.axes])
 
     @property
     def started_us(self) -> float:
         """When the SYNC was on the bus that started the last move."""
-        from epos2_ros.protocol import epos2
-
         starts = [t for t, frame, echo in self.frames if frame.can_id & 0x780 == epos2.RPDO2]
         return min(
             t for t, frame, _ in self.frames if frame.can_id == epos2.SYNC and t > starts[-1]

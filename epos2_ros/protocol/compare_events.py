@@ -110,7 +110,8 @@ class _Reported:
         self._steps.extend(_Step(*row) for row in zip(*(c.tolist() for c in columns), strict=True))
         self._position_qc = float(path.position_qc[-1])
         self._velocity_qc_s = float(path.velocity_qc_s[-1])
-        self._read_us = max(self._read_us, float(path.t_us[0]))
+        if self._read_us == -inf:
+            self._read_us = float(path.t_us[0])
         return []
 
     def _event(self, step: _Step) -> CompareEvent:

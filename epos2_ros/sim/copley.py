@@ -127,6 +127,7 @@ class Copley(Slave):
         self._moved: Motion | None = None  # by hand
         self._profile: Profile | None = None
         self._profile_us = 0.0  # when it began
+        self.arrived_us = -math.inf  # when the last profile was over
         super().__init__(node_id, identity, t_us)
         self.rate = 1.0 + drift_ppm * 1e-6
         self._build_objects()
@@ -140,6 +141,11 @@ class Copley(Slave):
     def position_actual(self) -> int:
         """What the encoder says."""
         return math.floor(self._shaft + self._offset)
+
+    @property
+    def started_us(self) -> float:
+        """When the last profile began."""
+        return self._profile_us
 
     @property
     def status_word(self) -> int:
@@ -469,6 +475,7 @@ class Copley(Slave):
 
     def _arrive(self) -> None:
         self._profile = None
+        self.arrived_us = self.now_us
         self._dirty = True
         if self._next_setpoint is not None:
             self._setpoint, self._next_setpoint = self._next_setpoint, None
