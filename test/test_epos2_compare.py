@@ -4,8 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
+import canopen
 import numpy as np
+import pytest
+from compare_bench import ComparingEpos2
+from sim_host import Host
 
+from epos2_ros.bus.bringup import object_dictionary
 from epos2_ros.compare_config import CompareConfig
 from epos2_ros.motion.crossings import Path
 from epos2_ros.motion.units import AxisUnits
@@ -108,3 +113,79 @@ def test_the_marker_counter_wraps_and_what_was_overwritten_is_counted() -> None:
     events, _ = tracker.report((4, 900, 800, 700), 1_000_000.0, 1_000_500.0)
     assert [event.position_qc for event in events] == [700, 800, 900]
     assert tracker.missed == 2
+
+
+# --- the simulated drive --------------------------------------------------------------------------
+
+
+def test_the_simulated_drive_has_the_objects_of_the_eds() -> None:
+    dictionary = object_dictionary()
+    simulated = ComparingEpos2(1).dictionary
+    for index in (0x2074, 0x2079, 0x207A):
+        for subindex, variable in dictionary[index].items():
+            assert isinstance(variable, canopen.objectdictionary.ODVariable)
+            entry = simulated[index, subindex]
+            assert 8 * entry.type.size == len(variable), f"{index:04X}-{subindex:02X}"
+            assert entry.access.replace("const", "ro") == variable.access_type
+
+
+class Axis(Host):
+    """An enabled EPOS2 in profile position mode."""
+
+    def __init__(self) -> None:
+        self.drive = ComparingEpos2(1, lag_ms=0.0)
+        super().__init__(self.drive)
+        self.nmt(0x01)
+        for word in (0x06, 0x07, 0x0F):
+            self.write(0x6040, 0, word, 2)
+
+    def go(self, target: int) -> None:
+        self.write(0x607A, 0, target, 4)
+        self.write(0x6040, 0, 0x3F, 2)
+        self.write(0x6040, 0, 0x0F, 2)
+        self.run_until(lambda: self.drive.position_actual == target, 5000)
+
+    @property
+    def fired(self) -> list[tuple[int, bool]]:
+        return [(pulse.value, pulse.rising) for pulse in self.drive.fired]
+
+
+@pytest.mark.parametrize(
+    ("dependency", "fired"),
+    [(0, [(1000, False)]), (1, [(1000, True)]), (2, [(1000, True), (1000, False)])],
+)
+def test_simulated_single_position(dependency: int, fired: list[tuple[int, bool]]) -> None:
+    axis = Axis()
+    axis.write(0x207A, 2, 1000, 4)
+    axis.write(0x207A, 1, 1 | dependency << 5, 2)
+    axis.go(2000)
+    axis.go(0)
+    assert axis.fired == fired
+
+
+@pytest.mark.parametrize(
+    ("interval", "values"),
+    [(0, [800, 900, 1000]), (1, [1000, 1100, 1200]), (2, [800, 900, 1000, 1100, 1200])],
+)
+def test_simulated_sequence_of_three_repetitions(interval: int, values: list[int]) -> None:
+    axis = Axis()
+    axis.write(0x207A, 2, 1000, 4)
+    axis.write(0x207A, 3, 100, 4)
+    axis.write(0x207A, 4, 3, 2)
+    axis.write(0x2079, 4, 1, 2)
+    axis.write(0x207A, 1, 1 | 1 << 1 | interval << 3 | 1 << 5, 2)
+    axis.go(2000)
+    axis.go(0)
+    assert axis.fired == [(value, True) for value in values]
+    assert axis.drive.pulses == [4]
+
+
+def test_simulated_marker_captures_and_remembers() -> None:
+    axis = Axis()
+    axis.write(0x2074, 2, 2, 1)  # falling edges
+    for target in (100, 200, 300):
+        axis.go(target)
+        axis.drive.input_edge(rising=True)
+        axis.drive.input_edge(rising=False)
+    assert axis.read(0x2074, 4) == 3
+    assert [axis.read(0x2074, sub, signed=True) for sub in (1, 5, 6)] == [300, 200, 100]

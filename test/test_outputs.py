@@ -348,7 +348,7 @@ def test_an_unknown_joint_is_refused() -> None:
     assert str(refused.value) == "compare.camera.joint is z; the joints are x"
 
 
-# --- moves in profile position mode ----------------------------------------------------------------
+# --- moves in profile position mode --------------------------------------------------------------
 
 
 def two(**changes: Any) -> tuple[CompareBench, list[Copley]]:

@@ -1,0 +1,126 @@
+"""The Copley EDS against the documents, as a CANopen master reads it, and the simulated drive.
+
+The tables are typed from Copley, "Setting outputs at position", and CiA 402.
+"""
+
+from __future__ import annotations
+
+import configparser
+from importlib import resources
+
+import canopen
+import pytest
+from canopen.objectdictionary import ODVariable, datatypes
+
+from epos2_ros.protocol import copley
+from epos2_ros.sim.copley import Copley
+
+NODE_ID = 5
+EDS = resources.files("epos2_ros") / "eds" / "copley.eds"
+I16, I32 = datatypes.INTEGER16, datatypes.INTEGER32
+I8, U8, U16, U32 = (
+    datatypes.INTEGER8, datatypes.UNSIGNED8, datatypes.UNSIGNED16, datatypes.UNSIGNED32,
+)  # fmt: skip
+OCTETS, DOMAIN = datatypes.OCTET_STRING, datatypes.DOMAIN
+
+# index, sub-index, type, access
+NOTE = [
+    (0x2160, 0, U32, "rw"),  # compare module configuration
+    (0x2161, 0, U32, "rw"),  # status, write 1 to clear
+    (0x2162, 0, I32, "rw"),  # compare value 0
+    (0x2163, 0, I32, "rw"),  # compare value 1
+    (0x2164, 0, I32, "rw"),  # increment: "signed 32-bit value"
+    (0x2165, 0, U32, "rw"),  # pulse period: "the lower 20-bits"
+    *[(0x2193, n, OCTETS, "rw") for n in range(1, 9)],  # "a total of 10 bytes"
+    (0x250A, 0, U16, "rw"),  # number of 16-bit words to reserve
+    (0x250B, 0, U16, "rw"),  # offset into the reserved portion
+    (0x250C, 0, DOMAIN, "wo"),  # a 16-byte write or four 4-byte writes
+]
+DRIVE = [
+    (0x6040, 0, U16, "rw"),
+    (0x6041, 0, U16, "ro"),
+    (0x6060, 0, I8, "rw"),
+    (0x6061, 0, I8, "ro"),
+    (0x6062, 0, I32, "ro"),
+    (0x6064, 0, I32, "ro"),
+    (0x606C, 0, I32, "ro"),
+    (0x607A, 0, I32, "rw"),
+    (0x607D, 1, I32, "rw"),
+    (0x607D, 2, I32, "rw"),
+    (0x6081, 0, U32, "rw"),
+    (0x6083, 0, U32, "rw"),
+    (0x6084, 0, U32, "rw"),
+    (0x6085, 0, U32, "rw"),
+    (0x6086, 0, I16, "rw"),
+    (0x6502, 0, U32, "ro"),
+]
+
+
+@pytest.fixture(scope="module")
+def dictionary() -> canopen.ObjectDictionary:
+    return canopen.import_od(str(EDS), NODE_ID)
+
+
+def variables(dictionary: canopen.ObjectDictionary) -> dict[tuple[int, int], ODVariable]:
+    return {
+        (variable.index, variable.subindex): variable
+        for thing in dictionary.values()
+        for variable in ([thing] if isinstance(thing, ODVariable) else thing.values())
+    }
+
+
+@pytest.mark.parametrize("row", NOTE + DRIVE, ids=lambda row: f"{row[0]:04X}-{row[1]:02X}")
+def test_object_is_as_documented(dictionary: canopen.ObjectDictionary, row: tuple) -> None:
+    index, subindex, data_type, access = row
+    found = variables(dictionary)[index, subindex]
+    assert (found.data_type, found.access_type) == (data_type, access)
+
+
+def test_no_other_objects_of_the_manufacturer_or_the_profile(
+    dictionary: canopen.ObjectDictionary,
+) -> None:
+    found = {key for key in variables(dictionary) if key[0] >= 0x2000}
+    counts = {(0x2193, 0), (0x607D, 0)}
+    assert found - counts == {row[:2] for row in NOTE + DRIVE}
+
+
+def test_identity(dictionary: canopen.ObjectDictionary) -> None:
+    assert dictionary[0x1000].default & 0xFFFF == 402
+    assert dictionary[0x1018][1].default == 0xAB  # Copley Controls' number at CiA
+
+
+def test_the_simulated_drive_has_every_object_with_its_size(
+    dictionary: canopen.ObjectDictionary,
+) -> None:
+    drive = Copley(NODE_ID)
+    sizes = {I8: 1, U8: 1, I16: 2, U16: 2, I32: 4, U32: 4, OCTETS: 10}
+    for (index, subindex), variable in variables(dictionary).items():
+        if variable.data_type not in sizes or 0x1400 <= index < 0x2000:
+            continue  # of a length of their own; PDO parameters
+        entry = drive.dictionary[index, subindex]
+        assert entry.type.size == sizes[variable.data_type], f"{index:04X}-{subindex:02X}"
+        assert (entry.access in ("ro", "const")) == (variable.access_type in ("ro", "const"))
+
+
+def test_the_drivers_pdos_can_be_mapped() -> None:
+    drive = Copley(NODE_ID)
+    for mapping in (*copley.RPDO_MAPPINGS, *copley.TPDO_MAPPINGS):
+        entries = [drive.dictionary[key] for key in mapping.objects]
+        assert all(entry.mappable for entry in entries)
+        assert sum(entry.type.size for entry in entries) <= 8
+
+
+def test_object_lists_name_every_section_once() -> None:
+    """CiA 306."""
+    sections = configparser.RawConfigParser()
+    sections.read_string(EDS.read_text(encoding="ascii"))
+    listed: list[int] = []
+    for name in ("MandatoryObjects", "OptionalObjects", "ManufacturerObjects"):
+        section = sections[name]
+        numbers = range(1, int(section["SupportedObjects"]) + 1)
+        listed += [int(section[str(n)], 16) for n in numbers]
+        assert len(section) == len(numbers) + 1
+    described = {
+        name[:4] for name in sections.sections() if name[:4].isalnum() and name[0] in "126"
+    }
+    assert sorted(f"{index:04X}" for index in listed) == sorted(described)
