@@ -123,7 +123,7 @@ class Copley(Slave):
         self._follow = 1.0 - math.exp(-LOOP_US / 1000 / lag_ms) if lag_ms else 1.0
         self._shaft = self._commanded = float(position)
         self._velocity = 0.0
-        self._extrapolated = float(position)
+        self.extrapolated = float(position)  # what it thinks at the end of the loop
         self._moved: Motion | None = None  # by hand
         self._profile: Profile | None = None
         self._profile_us = 0.0  # when it began
@@ -437,11 +437,11 @@ class Copley(Slave):
             self._see(before, self._shaft, begin_us, self.now_us)
         else:  # taken back to what the encoder says, then on from there
             count = float(self.position_actual)
-            self._see(self._extrapolated, count, self.now_us, self.now_us)
+            self._see(self.extrapolated, count, self.now_us, self.now_us)
             end = count + self._velocity * LOOP_US / 1000
-            self._extrapolated = math.nextafter(end, count)  # then comes the next sample
+            self.extrapolated = math.nextafter(end, count)  # then comes the next sample
             next_us = self.now_us + LOOP_US / self.rate
-            self._see(count, self._extrapolated, self.now_us, next_us)
+            self._see(count, self.extrapolated, self.now_us, next_us)
         for pin in self.pins:
             self._sample(pin)
         resting = self._moved is None and self._profile is None and self._shaft == before
