@@ -62,6 +62,7 @@ class _Armed:
     tracker: Tracker | None = None
     answer: tuple[Sequence[int], float, float] | None = None
     asked: bool = False
+    failing: bool = False  # the last job came to nothing, which has been said
     missed: int = 0  # of a marker
     expected: Prediction | None = None  # of the motion in progress
     told: list[tuple[int, bool, float]] = field(default_factory=list)  # since it was expected
@@ -225,13 +226,16 @@ class Outputs:
     def answered(self, job: SdoJob, values: Sequence[int], begin_us: float, end_us: float) -> None:
         """The values that were read for a job, between two times."""
         armed = self._armed[job.output]
+        armed.failing = False
         if job.reads and armed.tracker is not None and job.reads == armed.tracker.reads:
             armed.answer = (values, begin_us, end_us)
 
     def failed(self, job: SdoJob, reason: str) -> None:
-        """A job came to nothing; a read is tried again."""
-        self._armed[job.output].asked = False
-        self.notices.append(f"compare.{job.output}: {reason}")
+        """A job came to nothing; a read is tried again. Said once, until one succeeds."""
+        armed = self._armed[job.output]
+        if not armed.failing:
+            self.notices.append(f"compare.{job.output}: {reason}")
+        armed.asked, armed.failing = False, True
 
     def _report(self, armed: _Armed, tracker: Tracker, name: str) -> None:
         assert armed.answer is not None

@@ -1,0 +1,114 @@
+"""The Copley axes of a bus at work: brought up, enabled, moved in step, stopped.
+
+The owner's thread (the reactor) calls everything but `bring_up`; what blocks runs on `worker`, and
+comes back by `post`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor, Future
+
+from epos2_ros.bus.copley import CopleyNode, CopleySettings
+from epos2_ros.bus.link import Network
+from epos2_ros.bus.sdo_jobs import write_all
+from epos2_ros.bus.timestamps import now_us
+from epos2_ros.config import AxisConfig
+from epos2_ros.errors import DriveError, TrajectoryError
+from epos2_ros.motion.trapezoid import Trapezoid, in_step
+from epos2_ros.motion.units import AxisUnits
+from epos2_ros.protocol.frame import Frame
+from epos2_ros.protocol.profile_axes import ProfileAxes
+from epos2_ros.protocol.sdo import SdoWrite
+
+Job = Callable[[], None]
+
+
+class CopleyAxes:
+    """All axes of `configs`, which are those with `drive: copley`."""
+
+    def __init__(
+        self, configs: Sequence[AxisConfig], worker: Executor, post: Callable[[Job], None]
+    ) -> None:
+        self.configs = tuple(configs)
+        self.protocol = ProfileAxes([(axis.joint, axis.node_id) for axis in configs])
+        self.nodes: list[CopleyNode] = []
+        self._units = [AxisUnits.of(axis) for axis in configs]
+        self._worker = worker
+        self._post = post
+
+    def open(self, network: Network) -> None:
+        """A bus has been opened."""
+        self.nodes = [CopleyNode(network, CopleySettings.of(axis)) for axis in self.configs]
+
+    def bring_up(self, call: Callable[[Job], None]) -> None:
+        """Configure every drive, from any thread but the owner's; `call` runs in that."""
+        for index, node in enumerate(self.nodes):
+            statusword = node.configure()
+            call(lambda i=index, s=statusword: self.protocol.reconfigured(i, s, now_us()))  # type: ignore[misc]
+
+    def move_to(self, targets: Mapping[str, float], duration_s: float = 0.0) -> Future[None]:
+        """Start for these positions [unit], leaving and arriving together.
+
+        As fast as the slowest axis can, or in `duration_s` if that is longer. TrajectoryError for
+        a joint that is not one of these, a target outside the limits, or axes that don't stand.
+        """
+        moves: dict[str, Trapezoid] = {}
+        for joint, target in targets.items():
+            moves[joint] = self._move(joint, target)
+        together = dict(zip(moves, in_step(list(moves.values()), duration_s), strict=True))
+        return self.protocol.move([together.get(axis.joint) for axis in self.protocol.axes])
+
+    def _move(self, joint: str, target: float) -> Trapezoid:
+        places = {axis.joint: n for n, axis in enumerate(self.configs)}
+        if joint not in places:
+            raise TrajectoryError(
+                f"joint '{joint}' does not move in profile position mode; those that do are "
+                f"{', '.join(places) or 'none'}",
+                TrajectoryError.INVALID_JOINTS,
+            )
+        config, units = self.configs[places[joint]], self._units[places[joint]]
+        low = -math.inf if config.min_position is None else config.min_position
+        high = math.inf if config.max_position is None else config.max_position
+        if not low <= target <= high:
+            raise TrajectoryError(
+                f"joint '{joint}': position {target:g} {units.unit} is outside its limits "
+                f"{low:g} … {high:g} {units.unit}"
+            )
+        missing = "max_velocity" if config.max_velocity is None else "max_acceleration"
+        if config.max_velocity is None or config.max_acceleration is None:
+            raise TrajectoryError(
+                f"axes.{joint}.{missing} is not set; a move in profile position mode needs it"
+            )
+        standing = self.protocol.axes[places[joint]].position_qc
+        if standing is None:
+            raise TrajectoryError(f"joint '{joint}': its drive has not said where it stands")
+        return Trapezoid(
+            float(standing),
+            units.to_qc(target),
+            abs(units.to_qc_s(config.max_velocity)),
+            abs(units.to_qc_s(config.max_acceleration)),
+        )
+
+    # ------------------------------------------------------------------ the owner's thread
+
+    def receive(self, frame: Frame, t_us: float, echo: bool) -> None:
+        """Take in a frame."""
+        self.protocol.receive(frame, t_us, echo)
+
+    def advance(self, now: float) -> float:
+        """Do what is due; when it is wanted next."""
+        self.protocol.advance(now)
+        while self.protocol.writing:
+            index, writes = self.protocol.writing.popleft()
+            self._worker.submit(self._write, index, writes)
+        return self.protocol.deadline_us
+
+    def _write(self, index: int, writes: Sequence[SdoWrite]) -> None:
+        try:
+            write_all(self.nodes[index].node, writes)
+            error = ""
+        except DriveError as refusal:
+            error = str(refusal)
+        self._post(lambda: self.protocol.written(index, error))
