@@ -16,9 +16,10 @@ import numpy as np
 import pytest
 import yaml
 
-from epos2_ros.demo.commanded import Commanded, Scale, read_parameters, scales
+from epos2_ros.demo.commanded import Commanded, Scale, scales
 from epos2_ros.demo.report import Observed, Report
 from epos2_ros.demo.terminal import Terminal, bar
+from epos2_ros.files import read_parameters
 from epos2_ros.motion.trajectory import Trajectory
 
 CYCLES = 2000

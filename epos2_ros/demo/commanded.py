@@ -9,14 +9,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import comb, pi
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
-from epos2_ros.errors import ConfigurationError
 from epos2_ros.motion.trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -34,30 +31,6 @@ class Scale:
 
     def to_qc(self, position: Array) -> Array:
         return (position - self.offset) * self.qc_per_unit
-
-
-def read_parameters(file: Path) -> dict[str, Any]:
-    """The parameters of the driver node in a ROS parameter file, with dotted names."""
-    try:
-        nodes = yaml.safe_load(file.read_text())
-        sections = [nodes[name]["ros__parameters"] for name in nodes if name in NODE_NAMES]
-    except (OSError, yaml.YAMLError, KeyError, TypeError) as error:
-        raise ConfigurationError(f"{file} is not a ROS parameter file: {error!r}") from error
-    flat: dict[str, Any] = {}
-    for section in sections:
-        _flatten(section, "", flat)
-    return flat
-
-
-NODE_NAMES = ("/**", "epos2_driver", "/epos2_driver")
-
-
-def _flatten(section: Mapping[str, Any], prefix: str, into: dict[str, Any]) -> None:
-    for name, value in section.items():
-        if isinstance(value, Mapping):
-            _flatten(value, f"{prefix}{name}.", into)
-        else:
-            into[prefix + name] = value
 
 
 def scales(parameters: Mapping[str, Any]) -> list[Scale]:

@@ -17,11 +17,12 @@ from typing import Any
 import yaml
 
 from epos2_ros.demo.child import Child
-from epos2_ros.demo.commanded import Commanded, read_parameters, scales
+from epos2_ros.demo.commanded import Commanded, scales
 from epos2_ros.demo.report import Observed, Report
 from epos2_ros.demo.terminal import Terminal, bar
 from epos2_ros.demo.witness import DRIVER, Witness
 from epos2_ros.errors import Epos2RosError
+from epos2_ros.files import read_parameters, read_trajectory, share, shipped_parameters
 from epos2_ros.motion.trajectory import Trajectory
 
 READY_TIMEOUT_S = 60.0  # for the driver to be active: imports, bring-up, clocks
@@ -78,7 +79,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def run(arguments: argparse.Namespace, terminal: Terminal) -> int:
     """The whole demo. Epos2RosError when the motion did not come about."""
     file = arguments.trajectory or share() / "examples" / "pick_place.yaml"
-    trajectory = load(file)
+    trajectory = read_trajectory(file)
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     with tempfile.TemporaryDirectory(prefix="epos2_ros_demo_") as folder:
         scratch = Path(folder)
@@ -256,34 +257,10 @@ class Watch:
         )
 
 
-def load(file: Path) -> Trajectory:
-    """A trajectory from YAML; Epos2RosError in one line if it is none."""
-    try:
-        message = yaml.safe_load(file.read_text())
-    except (OSError, yaml.YAMLError) as error:
-        raise Epos2RosError(f"can't read {file}: {' '.join(str(error).split())}") from error
-    trajectory = Trajectory.from_dict(message)
-    if not len(trajectory.times_s):
-        raise Epos2RosError(f"{file} has no points")
-    return trajectory
-
-
-def share() -> Path:
-    """Where `config` and `examples` are: the checkout, or share/epos2_ros of the installation."""
-    for folder in Path(__file__).resolve().parents:
-        if (folder / "package.xml").is_file():
-            return folder
-        if (folder / "share" / "epos2_ros").is_dir():
-            return folder / "share" / "epos2_ros"
-    raise Epos2RosError("the examples of epos2_ros are not installed: give TRAJECTORY and --params")
-
-
 def parameter_file(joints: Sequence[str], scratch: Path) -> Path:
     """The shipped parameter file for simulated drives with these joints, else one made up."""
-    for file in sorted((share() / "config").glob("*.yaml")):
-        parameters = read_parameters(file)
-        if parameters.get("simulate") and set(parameters["joints"]) == set(joints):
-            return file
+    if shipped := shipped_parameters(joints):
+        return shipped
     axes = {joint: {"counts_per_turn": 2000, "gear_ratio": 100.0} for joint in joints}
     section = {
         "simulate": True,

@@ -1,0 +1,137 @@
+"""The files that the programs read: trajectories and parameters, and those that are shipped."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+try:
+    from yaml import CSafeLoader as SafeLoader
+except ImportError:  # PyYAML without libyaml: the same, slower
+    from yaml import SafeLoader
+
+from epos2_ros.errors import ConfigurationError, Epos2RosError
+from epos2_ros.motion.trajectory import Trajectory
+
+# Sections of a ROS parameter file that reach /epos2_driver.
+DRIVER_SECTIONS = ("epos2_driver", "/epos2_driver", "/**/epos2_driver", "/**", "**", "/*", "*")
+
+
+class _Loader(SafeLoader):
+    """Takes 1e-3 and inf for numbers, as ROS does; YAML 1.1 wants 1.0e-3 and .inf."""
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"[-+]?((\d+\.?\d*|\.\d+)[eE][-+]?\d+|inf|nan)$"),
+    list("-+.0123456789in"),
+)
+
+
+def read_trajectory(file: Path) -> Trajectory:
+    """The one trajectory in a file, with at least one point; Epos2RosError in one line."""
+    try:
+        with file.open(encoding="utf-8") as lines:
+            trajectories = list(read_trajectories(lines, str(file)))
+    except (OSError, UnicodeDecodeError) as error:
+        raise Epos2RosError(f"can't read {file}: {error}") from error
+    if len(trajectories) > 1:
+        raise Epos2RosError(f"{file} holds {len(trajectories)} trajectories; give one")
+    if not len(trajectories[0].times_s):
+        raise Epos2RosError(f"{file} has no points")
+    return trajectories[0]
+
+
+def read_trajectories(lines: Iterable[str], source: str) -> Iterator[Trajectory]:
+    """The trajectories in YAML as `ros2 topic pub` takes and `ros2 topic echo` prints it.
+
+    Each comes as soon as the `---` after it was read. Raises TrajectoryError for one that is
+    refused, Epos2RosError where `source` is no YAML or empty.
+    """
+    empty = True
+    for text in _documents(lines):
+        try:
+            message = yaml.load(text, _Loader)
+        except yaml.YAMLError as error:
+            raise Epos2RosError(f"can't read {source}: {_one_line(error)}") from error
+        if message is not None:
+            empty = False
+            yield _trajectory(message, source)
+    if empty:
+        raise Epos2RosError(f"{source} is empty")
+
+
+def _documents(lines: Iterable[str]) -> Iterator[str]:
+    document: list[str] = []
+    for line in lines:
+        if line.rstrip() == "---":
+            yield "".join(document)
+            document.clear()
+        else:
+            document.append(line)
+    yield "".join(document)
+
+
+def _trajectory(message: Any, source: str) -> Trajectory:
+    points = message.get("points") if isinstance(message, Mapping) else None
+    if points and isinstance(points, Sequence) and points[-1] == "...":
+        raise Epos2RosError(
+            f"{source} holds only the first {len(points) - 1} points: "
+            "`ros2 topic echo` needs --full-length to print all"
+        )
+    return Trajectory.from_dict(message)
+
+
+def read_parameters(file: Path) -> dict[str, Any]:
+    """The parameters of the driver node in a ROS parameter file, with dotted names."""
+    try:
+        nodes = yaml.load(file.read_text(encoding="utf-8"), _Loader)
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise ConfigurationError(f"can't read {file}: {_one_line(error)}") from error
+    if not isinstance(nodes, Mapping):
+        raise ConfigurationError(f"{file} is not a ROS parameter file")
+    flat: dict[str, Any] = {}
+    sections = [name for name in nodes if name in DRIVER_SECTIONS]
+    for name in sections:
+        section = nodes[name].get("ros__parameters") if isinstance(nodes[name], Mapping) else None
+        if not isinstance(section, Mapping):
+            raise ConfigurationError(f"{file}: {name} has no ros__parameters")
+        _flatten(section, "", flat)
+    if not sections:
+        raise ConfigurationError(f"{file} has no parameters of /epos2_driver")
+    return flat
+
+
+def _flatten(section: Mapping[str, Any], prefix: str, into: dict[str, Any]) -> None:
+    for name, value in section.items():
+        if isinstance(value, Mapping):
+            _flatten(value, f"{prefix}{name}.", into)
+        else:
+            into[f"{prefix}{name}"] = value
+
+
+def share() -> Path:
+    """Where `config` and `examples` are: the checkout, or share/epos2_ros of the installation."""
+    for folder in Path(__file__).resolve().parents:
+        if (folder / "package.xml").is_file():
+            return folder
+        if (folder / "share" / "epos2_ros").is_dir():
+            return folder / "share" / "epos2_ros"
+    raise Epos2RosError("the examples of epos2_ros are not installed: give TRAJECTORY and --params")
+
+
+def shipped_parameters(joints: Iterable[str]) -> Path | None:
+    """The shipped parameter file for simulated drives with these joints, if there is one."""
+    for file in sorted((share() / "config").glob("*.yaml")):
+        parameters = read_parameters(file)
+        if parameters.get("simulate") and set(parameters["joints"]) == set(joints):
+            return file
+    return None
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())
