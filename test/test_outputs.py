@@ -307,6 +307,7 @@ def test_what_was_predicted_is_held_against_what_is_reported() -> None:
     predictions = made.outputs.predict(0, predicted(made, 0.2))
     assert len(predictions["camera"].fired) == 200
     assert predictions["camera"].warnings == ()
+    made.outputs.begin(0)
     made.outputs.expect(predictions)
     start_us = made.move(x=0.2)
     made.outputs.finished(0, start_us, made.now_us)
@@ -317,6 +318,7 @@ def test_what_was_predicted_is_held_against_what_is_reported() -> None:
 
 def test_a_difference_from_the_prediction_is_told() -> None:
     made, drive = bench(output("interval", start=0.0005, interval=0.001))
+    made.outputs.begin(0)
     made.outputs.expect(made.outputs.predict(0, predicted(made, 0.2)))
     start_us = made.move(x=0.1)
     made.outputs.finished(0, start_us, made.now_us)

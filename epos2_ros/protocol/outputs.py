@@ -64,8 +64,9 @@ class _Armed:
     asked: bool = False
     failing: bool = False  # the last job came to nothing, which has been said
     missed: int = 0  # of a marker
-    expected: Prediction | None = None  # of the motion in progress
-    told: list[tuple[int, bool, float]] = field(default_factory=list)  # since it was expected
+    recording: bool = False  # a motion that is to be held against its prediction
+    expected: Prediction | None = None
+    told: list[tuple[int, bool, float]] = field(default_factory=list)  # since it has begun
     settled: tuple[float, float] | None = None  # the motion's zero and end
 
 
@@ -170,22 +171,28 @@ class Outputs:
             if armed.axis == axis and (trigger := _from_now_on(armed)) is not None
         }
 
+    def begin(self, axis: int) -> None:
+        """The axis begins a motion that a prediction will be made of."""
+        for armed in self._armed.values():
+            if armed.axis == axis:
+                armed.recording, armed.expected = True, None
+                armed.told, armed.settled = [], None
+
     def expect(self, predictions: Mapping[str, Prediction]) -> None:
-        """A motion begins, with these to be held against what is reported."""
+        """The predictions of the motion that has begun, to be held against what is reported."""
         for name, prediction in predictions.items():
-            armed = self._find(name)
-            armed.expected, armed.told, armed.settled = prediction, [], None
+            self._find(name).expected = prediction
 
     def finished(self, axis: int, zero_us: float, end_us: float) -> None:
         """The axis' motion, whose predictions count from `zero_us`, is over: compare."""
         for armed in self._armed.values():
-            if armed.axis == axis and armed.expected is not None:
+            if armed.axis == axis and armed.recording:
                 armed.settled = (zero_us, end_us)
 
     def forget(self) -> None:
         """The motion came to another end than was predicted."""
         for armed in self._armed.values():
-            armed.expected, armed.told, armed.settled = None, [], None
+            armed.recording, armed.expected, armed.settled = False, None, None
 
     def _settle(self, armed: _Armed, now_us: float) -> None:
         if armed.expected is None or armed.settled is None:
@@ -196,7 +203,7 @@ class Outputs:
         wrong = difference(armed.expected.fired, armed.told, zero_us)
         if wrong:
             self.notices.append(f"compare.{armed.output.config.name}: {wrong}")
-        armed.expected, armed.told, armed.settled = None, [], None
+        armed.recording, armed.expected, armed.settled = False, None, None
 
     # ------------------------------------------------------------------ what comes back
 
@@ -262,7 +269,7 @@ class Outputs:
     def _tell(self, armed: _Armed, events: Sequence[CompareEvent]) -> None:
         units, config = self._units[armed.axis], armed.output.config
         for event in events:
-            if armed.expected is not None:
+            if armed.recording:
                 armed.told.append((event.position_qc, event.rising, event.t_us))
             self.events.append(
                 OutputEvent(
