@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
+from epos2_ros.motion.compare import LOOP_US
 from epos2_ros.motion.crossings import Path
 from epos2_ros.motion.record import Record
 from epos2_ros.protocol import epos2
@@ -99,6 +100,6 @@ class ProfilePathWatch:
         axis = self._axis
         if echo or frame.can_id != epos2.TPDO2 + axis.node_id or axis.position_qc is None:
             return None
-        return self.executed.sample(
-            axis.sample_us, axis.position_qc, axis.velocity_qc_s, axis.demand
-        )
+        # The position is from the drive's last loop, half a loop ago on average.
+        t_us = axis.sample_us - LOOP_US / 2
+        return self.executed.sample(t_us, axis.position_qc, axis.velocity_qc_s, axis.demand)
