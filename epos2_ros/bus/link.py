@@ -196,7 +196,8 @@ class Link:
 
 def open_bus(interface: str, channel: str, bitrate: int) -> can.BusABC:
     """A python-can bus that gives our own frames back where the interface can; or BusError."""
-    logging.getLogger("can").setLevel(logging.ERROR)
+    for library in ("can", "canopen"):  # what they complain of is raised, and said once
+        logging.getLogger(library).setLevel(logging.CRITICAL)
     arguments: dict[str, Any] = {"interface": interface, "channel": channel, "bitrate": bitrate}
     try:
         try:
