@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 import signal
 import subprocess
@@ -131,15 +132,14 @@ class FakeDriver:
 class World:
     """A driver node with fake drives, and another node that watches and asks it."""
 
-    def __init__(self, domain_id: int, capfd: pytest.CaptureFixture[str]) -> None:
+    def __init__(self, domain_id: int, stderr: Path) -> None:
         self.context = Context()
         rclpy.init(args=[], context=self.context, domain_id=domain_id)
         self.drivers: list[FakeDriver] = []
         self.prepare: Callable[[FakeDriver], None] = lambda driver: None
         self.peer = Node("peer", context=self.context)
         self.log: list[tuple[str, str]] = []  # severity and text of each line of the node
-        self.text = ""
-        self._capfd = capfd
+        self.stderr = stderr
         self.node: DriverNode | None = None
         self._executors = [
             SingleThreadedExecutor(context=self.context),
@@ -154,7 +154,15 @@ class World:
         thread.start()
         self._threads.append(thread)
 
+    def _redirect_stderr(self) -> None:
+        """Into a file, rcutils' log included: `capfd` loses what comes while it is being read."""
+        self._stderr_before = os.dup(2)
+        with self.stderr.open("ab") as file:
+            os.dup2(file.fileno(), 2)
+
     def start(self, **parameters: Any) -> DriverNode:
+        self._redirect_stderr()
+
         def make(config: DriverConfig, on_event: Callable[[Event], None]) -> Any:
             driver = FakeDriver(config, on_event)
             self.prepare(driver)
@@ -211,8 +219,7 @@ class World:
 
     def lines(self) -> list[str]:
         """What the node has logged so far."""
-        self.text += self._capfd.readouterr().err
-        self.log = LOG_LINE.findall(self.text)
+        self.log = LOG_LINE.findall(self.stderr.read_text())
         return [text for _, text in self.log]
 
     def logged(self, words: str) -> list[str]:
@@ -241,14 +248,15 @@ class World:
         if self.node is not None:
             self.node.destroy_node()
         self.context.shutdown()
+        os.dup2(self._stderr_before, 2)
+        os.close(self._stderr_before)
+        sys.stderr.write(self.stderr.read_text())
 
 
 @pytest.fixture
-def world(
-    ros_domain_id: int, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> Iterator[World]:
+def world(ros_domain_id: int, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[World]:
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    it = World(ros_domain_id, capfd)
+    it = World(ros_domain_id, tmp_path / "stderr")
     yield it
     it.close()
 
@@ -341,7 +349,7 @@ def test_an_unexpected_error_is_in_the_log_and_leaves_the_node_unconfigured(worl
     world.prepare = broken
     world.start(joints=["a"])
     world.logged("activate failed:")
-    assert "ZeroDivisionError: a bug" in world.text
+    world.wait(lambda: "ZeroDivisionError: a bug" in world.stderr.read_text())
     assert world.state == "unconfigured"
     assert world.drivers[0].calls[-1] == "close"
 
@@ -631,7 +639,7 @@ class Program:
     def end(self, number: int) -> int:
         """Sends the signal and gives the exit status."""
         self._process.send_signal(number)
-        rest, _ = self._process.communicate()
+        rest, _ = self._process.communicate(timeout=WAIT_S)
         self.output += rest
         return self._process.returncode
 
@@ -653,6 +661,13 @@ def program(ros_env: dict[str, str]) -> Iterator[Callable[..., Program]]:
         it.kill()
 
 
+def spin_until(witness: Witness, what: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + WAIT_S
+    while not what():
+        assert time.monotonic() < deadline
+        witness.spin(0.02)
+
+
 GANTRY = Path(__file__).parents[1] / "config" / "gantry.yaml"
 
 
@@ -666,11 +681,9 @@ def test_ctrl_c_stops_on_the_path(number, program, ros_domain_id, examples, tmp_
     driver.read_until("active: ")
     trajectory = Trajectory.from_dict(yaml.safe_load((examples / "raster_scan.yaml").read_text()))
     with Witness(ros_domain_id) as witness:
-        while not witness.ready:
-            witness.spin(0.05)
+        spin_until(witness, lambda: witness.ready)
         witness.publish(trajectory)
-        while witness.positions["gantry_x"] < 0.05:  # in full motion along its first line
-            witness.spin(0.02)
+        spin_until(witness, lambda: witness.positions["gantry_x"] > 0.05)  # on its first line
         assert driver.end(number) == 0
     assert "Traceback" not in driver.output
     assert "context" not in driver.output

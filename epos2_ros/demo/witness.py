@@ -22,6 +22,8 @@ from epos2_ros.demo.report import Observed
 from epos2_ros.motion.trajectory import Trajectory
 
 DRIVER = "epos2_driver"
+TOPICS = 3  # /joint_states, ~/buffer_status, /diagnostics
+ANSWER_TIMEOUT_S = 1.0
 QUIET_S = 0.5  # without "ip mode active" a motion counts as over
 
 
@@ -54,6 +56,7 @@ class Witness:
         )
         self._states = self._node.create_client(GetState, f"/{DRIVER}/get_state")
         self._asked: Any = None
+        self._asked_at = -inf
 
     def __enter__(self) -> Witness:
         return self
@@ -77,16 +80,28 @@ class Witness:
     @property
     def ready(self) -> bool:
         """Whether the driver is active, listens, and every topic has been heard."""
-        if self._asked is None:
-            if self._states.service_is_ready():
-                self._asked = self._states.call_async(GetState.Request())
+        return (
+            self._active()
+            and self._publisher.get_subscription_count() > 0
+            and len(self.messages) == TOPICS
+        )
+
+    def _active(self) -> bool:
+        """As `get_state` answered last; asked anew when that was something else, or is overdue.
+
+        An answer is lost for good when the driver has not yet discovered who asks.
+        """
+        if self._asked is not None and self._asked.done():
+            if self._asked.result().current_state.label == "active":
+                return True
+        elif time.monotonic() - self._asked_at < ANSWER_TIMEOUT_S:
             return False
-        if not self._asked.done():
-            return False
-        active = self._asked.result().current_state.label == "active"
-        if not active:
-            self._asked = None
-        return active and self._publisher.get_subscription_count() > 0 and len(self.messages) == 3
+        if self._states.service_is_ready():
+            self._asked, self._asked_at = (
+                self._states.call_async(GetState.Request()),
+                time.monotonic(),
+            )
+        return False
 
     @property
     def moving(self) -> bool:
