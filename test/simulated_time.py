@@ -18,7 +18,7 @@ from epos2_ros.protocol.clock import time_of_day
 from epos2_ros.protocol.frame import Frame
 from epos2_ros.protocol.group import Event, Group
 from epos2_ros.protocol.path import PathCommander
-from epos2_ros.sim.can_bus import SimulatedBus
+from epos2_ros.sim.can_bus import SimulatedBus, TransmitQueueFull
 from epos2_ros.sim.epos2 import Epos2
 
 SDO_PATIENCE_US = 20_000.0
@@ -34,16 +34,24 @@ def axes(count: int = 6, **changes: object) -> tuple[AxisConfig, ...]:
 
 
 class Bench:
-    """Driver side and drives on one simulated bus."""
+    """Driver side and drives on one simulated bus.
+
+    `stamp_us(t)`: the host's time stamp of a frame that was on the bus at `t`.
+    `late_us()`: by how much the host's thread wakes up late.
+    `host_queue`: frames the adapter takes before it is full; None: without end.
+    """
 
     def __init__(
         self,
         config: DriverConfig | None = None,
         drives: Sequence[Epos2] | None = None,
         bring_up: bool = True,
+        host_queue: int | None = None,
     ) -> None:
         self.config = config or DriverConfig(axes=axes())
-        self.bus = SimulatedBus(bitrate=self.config.bitrate)
+        self.bus = SimulatedBus(bitrate=self.config.bitrate, host_queue=host_queue)
+        self.stamp_us: Callable[[float], float] = lambda t_us: t_us
+        self.late_us: Callable[[], float] = lambda: 0.0
         self.drives = list(drives or [Epos2(axis.node_id) for axis in self.config.axes])
         for drive in self.drives:
             self.bus.add(drive)
@@ -58,7 +66,7 @@ class Bench:
         ]
         self.frames: list[tuple[float, Frame, bool]] = []  # all that was on the bus: time, echo
         self.events: list[Event] = []
-        self._in_service = False
+        self._due_us = 0.0  # until when the bus runs on without the driver
         if bring_up:
             self.bring_up()
 
@@ -89,11 +97,15 @@ class Bench:
         end_us = self.now_us + seconds * 1e6
         while self.now_us < end_us and not until():
             self._step()
-            due = min(end_us, self.group.deadline_us, self.transmitter.deadline_us)
-            self.bus.run_until(max(due, self.now_us), self._on_frame)
+            self._due_us = max(self._deadline_us, self.now_us) + self.late_us()
+            self.bus.run_until(min(end_us, self._due_us), self._on_frame)
             self._step()
 
     # ------------------------------------------------------------------ inside
+
+    @property
+    def _deadline_us(self) -> float:
+        return min(self.group.deadline_us, self.transmitter.deadline_us)
 
     def _step(self) -> None:
         self.path.advance(self.now_us)
@@ -112,7 +124,10 @@ class Bench:
         self.group.events.clear()
 
     def _hand_over(self, frame: Frame) -> bool:
-        self.bus.host_send(frame.can_id, frame.data)
+        try:
+            self.bus.host_send(frame.can_id, frame.data)
+        except TransmitQueueFull:
+            return False
         return True
 
     def _send_service(self, frame: Frame) -> None:
@@ -122,20 +137,22 @@ class Bench:
         end_us = self.now_us + SDO_PATIENCE_US
         self._answered = False
         while self.now_us < end_us and not self._answered:
-            due = min(end_us, self.group.deadline_us, self.transmitter.deadline_us)
-            self.bus.run_until(min(due, self.now_us + 500), self._on_frame)
+            self._due_us = min(end_us, self._deadline_us, self.now_us + 500)
+            self.bus.run_until(self._due_us, self._on_frame)
             self.group.advance(self.now_us)
             self._flush()
 
-    def _on_frame(self, can_id: int, data: bytes, t_us: float, echo: bool) -> None:
+    def _on_frame(self, can_id: int, data: bytes, t_us: float, echo: bool) -> bool:
+        """Returns whether something is due before the time that was run to."""
         frame = Frame(can_id, bytes(data))
         self.frames.append((t_us, frame, echo))
         if echo:
             self.transmitter.on_echo(frame)
         elif can_id & 0x780 == 0x580:
             self._answered = True
-        self.group.receive(frame, t_us, echo)
-        self.group.advance(t_us)
+        self.group.receive(frame, self.stamp_us(t_us), echo)
+        self.group.advance(self.now_us)
         self._flush()
         if not echo:
             self.network.notify(can_id, bytearray(data), t_us / 1e6)
+        return self._deadline_us < self._due_us

@@ -28,6 +28,8 @@ MIN_FIT = 4  # with fewer, the host's time is all there is
 OUTLIER = 5.0  # times the median deviation from the line …
 OUTLIER_FLOOR_US = 5.0  # … and never less than this is an outlier
 MAX_DRIFT = 500e-6  # of a quartz against the host's: a steeper line is a mistake
+COARSEST_CLOCK_US = 10.0  # drives count bit times; to this a clock's ticks are smoothed
+MAX_SLEW = 5e-6  # of the master's time towards the line: the drives get it one after another
 _SECONDS_TO_1984 = 441_763_200  # from 1970-01-01 to 1984-01-01, the epoch of TIME_OF_DAY
 
 
@@ -60,6 +62,7 @@ class MasterClock:
         self._sync_us = self._sync_host_us = 0.0  # the last SYNC by the master and by the host
         self._shown: list[int | None] = [None] * len(self.drift)  # then, corrected
         self._free_us = np.zeros(len(self.drift))  # the clocks, had none ever been corrected
+        self._rest_us = np.zeros(len(self.drift))  # of them at the last SYNC, not in whole ticks
         self._seen: deque[tuple[float, ...]] = deque(maxlen=WINDOW)  # host's time, `_free_us`
         self._line: tuple[float, np.ndarray] | None = None  # host's time, ahead of it there
 
@@ -75,28 +78,31 @@ class MasterClock:
         """
         host_us = t_us - self._zero_us
         answered = [drive for drive, clock in enumerate(latched) if clock is not None]
-        for drive in answered:
-            clock, shown = latched[drive], self._shown[drive]
-            assert clock is not None
-            if shown is None:
-                self._free_us[drive] = clock
-            else:
-                self._free_us[drive] += wrapped(clock - shown)
-            self._shown[drive] = clock
+        passed_us = self._count(latched)
         if len(answered) == len(latched):
             self._seen.append((host_us, *self._free_us))
             self._fit()
-        self._sync_host_us = host_us + self._late_us(host_us, answered)
-        self._sync_us = self._sync_host_us
+        late_us = self._late_us(host_us)
+        late = float(np.median(late_us[answered])) if answered else 0.0
+        self._sync_host_us = host_us + late
+        self._rest_us = late - late_us
+        self._rest_us[np.abs(self._rest_us) > COARSEST_CLOCK_US] = 0.0
+
+        passed = float(np.median((passed_us / (1 + self.drift))[answered])) if answered else 0.0
         if self._master is not None:
             self._sync_us = float(self._free_us[self._master])
-        due_us = self._sync_us + self._kept_us
+        elif self._line is None or not passed:
+            self._sync_us = self._sync_host_us
+        else:
+            slew = self._sync_host_us - self._sync_us - passed
+            self._sync_us += passed + min(MAX_SLEW * passed, max(-MAX_SLEW * passed, slew))
         for drive in answered:
-            self.offset_us[drive] = wrapped((latched[drive] or 0) - due_us[drive])
+            off_us = (latched[drive] or 0) - self._sync_us - self._kept_us[drive]
+            self.offset_us[drive] = wrapped(off_us + self._rest_us[drive])
 
     def stamp(self, drive: int, after_us: float) -> int:
         """What to tell a drive (0x1013) `after_us` after the last SYNC, which it answered."""
-        ahead_us = -self.drift[drive] * (after_us + self._period_us / 2)
+        ahead_us = -self.drift[drive] * (after_us + self._period_us / 2) - self._rest_us[drive]
         return round(self._sync_us + self._kept_us[drive] + ahead_us) % WRAP_US
 
     def corrected(self, drive: int, stamp: int) -> None:
@@ -115,6 +121,15 @@ class MasterClock:
     def release(self) -> None:
         """No path any more: all drives go back to the master's time."""
         self._kept_us[:] = 0.0
+
+    def _count(self, latched: Sequence[int | None]) -> np.ndarray:
+        """Go on counting; the time that has passed on each drive's clock."""
+        before_us = self._free_us.copy()
+        for drive, (clock, shown) in enumerate(zip(latched, self._shown, strict=True)):
+            if clock is not None:
+                self._free_us[drive] += clock if shown is None else wrapped(clock - shown)
+                self._shown[drive] = clock
+        return self._free_us - before_us
 
     def _fit(self) -> None:
         """A line per drive: how far it is ahead of the host, over the host's time."""
@@ -135,13 +150,12 @@ class MasterClock:
         self.drift = np.clip(slope, -MAX_DRIFT, MAX_DRIFT)
         self._line = seen[-1, 0], middle - self.drift * x.mean()
 
-    def _late_us(self, host_us: float, answered: Sequence[int]) -> float:
-        """By how much the host's time of a SYNC has to be put later, going by the lines."""
-        if self._line is None or not answered:
-            return 0.0
+    def _late_us(self, host_us: float) -> np.ndarray:
+        """How much later than by the host's clock a SYNC was, going by each drive's line."""
+        if self._line is None:
+            return np.zeros(len(self.drift))
         at_us, ahead_us = self._line
-        expected_us = ahead_us + self.drift * (host_us - at_us)
-        return float(np.median((self._free_us - host_us - expected_us)[list(answered)]))
+        return self._free_us - host_us - ahead_us - self.drift * (host_us - at_us)
 
 
 def time_of_day(unix_s: float) -> bytes:
