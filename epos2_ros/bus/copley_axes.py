@@ -6,7 +6,6 @@ comes back by `post`.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, Future
 
@@ -69,8 +68,9 @@ class CopleyAxes:
                 TrajectoryError.INVALID_JOINTS,
             )
         config, units = self.configs[places[joint]], self._units[places[joint]]
-        low = -math.inf if config.min_position is None else config.min_position
-        high = math.inf if config.max_position is None else config.max_position
+        low, high = units.position_range
+        low = low if config.min_position is None else max(low, config.min_position)
+        high = high if config.max_position is None else min(high, config.max_position)
         if not low <= target <= high:
             raise TrajectoryError(
                 f"joint '{joint}': position {target:g} {units.unit} is outside its limits "
