@@ -37,8 +37,8 @@ def read_trajectory(file: Path) -> Trajectory:
     try:
         with file.open(encoding="utf-8") as lines:
             trajectories = list(read_trajectories(lines, str(file)))
-    except (OSError, UnicodeDecodeError) as error:
-        raise Epos2RosError(f"can't read {file}: {error}") from error
+    except OSError as error:
+        raise Epos2RosError(f"can't read {file}: {error.strerror}") from error
     if len(trajectories) > 1:
         raise Epos2RosError(f"{file} holds {len(trajectories)} trajectories; give one")
     if not len(trajectories[0].times_s):
@@ -53,14 +53,14 @@ def read_trajectories(lines: Iterable[str], source: str) -> Iterator[Trajectory]
     refused, Epos2RosError where `source` is no YAML or empty.
     """
     empty = True
-    for text in _documents(lines):
-        try:
+    try:
+        for text in _documents(lines):
             message = yaml.load(text, _Loader)
-        except yaml.YAMLError as error:
-            raise Epos2RosError(f"can't read {source}: {_one_line(error)}") from error
-        if message is not None:
-            empty = False
-            yield _trajectory(message, source)
+            if message is not None:
+                empty = False
+                yield _trajectory(message, source)
+    except (ValueError, yaml.YAMLError) as error:  # no UTF-8, no YAML, no such date
+        raise Epos2RosError(f"can't read {source}: {_one_line(error)}") from error
     if empty:
         raise Epos2RosError(f"{source} is empty")
 
@@ -90,7 +90,9 @@ def read_parameters(file: Path) -> dict[str, Any]:
     """The parameters of the driver node in a ROS parameter file, with dotted names."""
     try:
         nodes = yaml.load(file.read_text(encoding="utf-8"), _Loader)
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+    except OSError as error:
+        raise ConfigurationError(f"can't read {file}: {error.strerror}") from error
+    except (ValueError, yaml.YAMLError) as error:
         raise ConfigurationError(f"can't read {file}: {_one_line(error)}") from error
     if not isinstance(nodes, Mapping):
         raise ConfigurationError(f"{file} is not a ROS parameter file")

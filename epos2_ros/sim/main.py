@@ -12,6 +12,7 @@ from typing import NoReturn
 
 import can
 
+from epos2_ros.arguments import without_ros_arguments
 from epos2_ros.errors import ConfigurationError, Epos2RosError
 
 from .realtime import RealtimeSimulator, build_drives, save_log
@@ -77,7 +78,7 @@ def _arguments(argv: list[str]) -> argparse.Namespace:
     parser.add_argument(
         "--log", type=Path, metavar="FILE.npz", help="write what was executed here at the end"
     )
-    arguments = parser.parse_args(_without_ros_arguments(argv))
+    arguments = parser.parse_args(without_ros_arguments(argv))
     if not arguments.slcan and arguments.channel is None:
         parser.error("--channel is needed (or --slcan)")
     if arguments.log is not None and arguments.log.suffix != ".npz":
@@ -85,20 +86,6 @@ def _arguments(argv: list[str]) -> argparse.Namespace:
     if arguments.log is not None and not os.access(arguments.log.parent, os.W_OK):
         parser.error(f"--log {arguments.log}: can't write to {arguments.log.parent}")
     return arguments
-
-
-def _without_ros_arguments(argv: list[str]) -> list[str]:
-    """A launch file adds `--ros-args … [--]`, which means nothing to a program without ROS."""
-    own: list[str] = []
-    ros = False
-    for argument in argv:
-        if argument == "--ros-args":
-            ros = True
-        elif ros and argument == "--":
-            ros = False
-        elif not ros:
-            own.append(argument)
-    return own
 
 
 def _open_bus(arguments: argparse.Namespace) -> can.BusABC:

@@ -1,0 +1,211 @@
+"""What the driver would do with a trajectory: its own group and feeder, without a bus.
+
+The group stands where the trajectory begins; from there on everything goes the driver's way
+(path, join, feeder, fitter), so records and refusals are the driver's, to the last word.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from epos2_ros.bus.bringup import BUFFER_STATUS_INHIBIT_US, DRIVE_HEARTBEAT_MS
+from epos2_ros.bus.settings import axis_setup, drive_settings, group_settings
+from epos2_ros.bus.transmitter import worst_case_bits
+from epos2_ros.config import AxisConfig, DriverConfig
+from epos2_ros.motion.limits import Limits
+from epos2_ros.motion.pvt import Executed, executed, segments
+from epos2_ros.motion.record import Record
+from epos2_ros.motion.reference import Reference
+from epos2_ros.motion.trajectory import Trajectory
+from epos2_ros.motion.units import AxisUnits
+from epos2_ros.protocol import epos2
+from epos2_ros.protocol.group import Group, Phase
+from epos2_ros.protocol.path import PathCommander
+from epos2_ros.protocol.timekeeper import HEARTBEAT_PERIOD_US
+
+Array = NDArray[np.float64]
+
+SYNC_BITS, HEARTBEAT_BITS, CONTROLWORD_BITS, STAMP_BITS, PDO_BITS = map(
+    worst_case_bits, (0, 1, 2, 4, 8)
+)
+
+
+@dataclass(frozen=True, eq=False)
+class AxisPlan:
+    """The records of one axis, and what its drive makes of them."""
+
+    config: AxisConfig
+    units: AxisUnits
+    start_qc: int  # where it stands
+    records: tuple[Record, ...]  # as sent; the last, of time 0, ends the motion
+    commanded_qc: Array  # at k = 0 … end [ms]
+    executed: Executed  # at the same k
+
+    @property
+    def error_qc(self) -> Array:
+        """Executed less commanded position at every millisecond [qc]."""
+        return np.asarray(self.executed.position_qc - self.commanded_qc)
+
+    def curve(self, order: int) -> Array:
+        """Executed position, velocity or acceleration at every millisecond, in joint units."""
+        drive = np.asarray(self.executed[order], dtype=np.float64)
+        return self.units.from_qc_s(drive) if order else self.units.from_qc(drive)
+
+    @property
+    def peaks(self) -> tuple[float, float]:
+        """Largest speed [unit/s] and acceleration [unit/s²] anywhere on the segments."""
+        cubic, time_ms = segments(self.start_qc, self.records, self.units.velocity_unit_qc_s)
+        tops = (np.max(top, initial=0.0) for top in cubic.extremes(time_ms * 1e-3))
+        velocity, acceleration = (abs(self.units.from_qc_s(float(top))) for top in tops)
+        return velocity, acceleration
+
+    @property
+    def knots_ms(self) -> NDArray[np.int64]:
+        """Path time of each record, the last one aside, and of the start before them."""
+        times = [record.time for record in self.records if record.time > 0]
+        return np.cumsum([0, *times])
+
+
+@dataclass(frozen=True)
+class BusLoad:
+    """Shares of the bit rate (0 … 1), stuff bits at worst."""
+
+    records: float  # on average over the motion
+    others: float  # SYNC, clocks, controlwords, heartbeats, and what the drives report
+    busiest: float  # all of it, in the busiest second
+
+
+@dataclass(frozen=True)
+class Latency:
+    """From the message to the SYNC that starts the motion."""
+
+    records: int  # that have to be in the drives before the start
+    computing_ms: float  # join, limits and fitting until the last of them; measured here
+    total_ms: float
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A trajectory as the driver would run it, from rest."""
+
+    trajectory: Trajectory
+    config: DriverConfig
+    limits: Limits
+    reference: Reference
+    axes: tuple[AxisPlan, ...]
+    load: BusLoad
+    latency: Latency
+
+    @property
+    def duration_s(self) -> float:
+        return self.reference.end_ms / 1000
+
+
+def standing(trajectory: Trajectory, config: DriverConfig, start: Sequence[float]) -> list[int]:
+    """The counts at which the drives stand, whole ones [qc].
+
+    `start` [unit] is in the order of the trajectory's joints; where other joints stand does not
+    matter, as long as they may stand there.
+    """
+    limits = Limits.of(config.axes)
+    given = dict(zip(trajectory.joint_names, start, strict=True))
+    positions = np.clip([axis.offset for axis in config.axes], limits.lower, limits.upper)
+    return [
+        round(AxisUnits.of(axis).to_qc(given.get(axis.joint, float(position))))
+        for axis, position in zip(config.axes, positions, strict=True)
+    ]
+
+
+def make_plan(trajectory: Trajectory, config: DriverConfig, start: Sequence[float]) -> Plan:
+    """What the driver would do with `trajectory` when its joints stand at `start` [unit].
+
+    Raises what the driver raises: ConfigurationError for a wrong parameter, TrajectoryError for a
+    trajectory that is refused.
+    """
+    group = Group([axis_setup(axis) for axis in config.axes], group_settings(config))
+    commander = PathCommander(group, config)
+    for axis in config.axes:
+        drive_settings(axis, config)
+    starts_qc = standing(trajectory, config, start)
+    for drive, start_qc in zip(group.axes, starts_qc, strict=True):
+        drive.demand_qc = start_qc
+    group.phase = Phase.STANDING
+
+    feeder = group.feeder
+    begun_s = time.perf_counter()
+    reference = commander.place(trajectory, None, 0.0).join()
+    feeder.begin(reference)
+    by_node: dict[int, list[Record]] = {axis.node_id: [] for axis in config.axes}
+    sent_ms: list[float] = []
+    ready_us: list[float] = []  # when each of the records before the start is there to be sent
+    while (due_ms := feeder.due_ms) < math.inf:
+        frame = feeder.next(due_ms)
+        assert frame is not None
+        by_node[frame.can_id - epos2.RPDO1].append(Record.unpack(frame.data))
+        sent_ms.append(max(due_ms, 0.0))
+        if due_ms <= 0:
+            ready_us.append((time.perf_counter() - begun_s) * 1e6)
+
+    k = np.arange(reference.end_ms + 1)
+    commanded_qc = reference.positions(k)
+    axes = tuple(
+        _axis_plan(axis, start_qc, by_node[axis.node_id], commanded_qc[:, column])
+        for column, (axis, start_qc) in enumerate(zip(config.axes, starts_qc, strict=True))
+    )
+    return Plan(
+        trajectory,
+        config,
+        Limits.of(config.axes),
+        reference,
+        axes,
+        _bus_load(config, axes, np.array(sent_ms), reference.end_ms),
+        _latency(config, ready_us),
+    )
+
+
+def _axis_plan(
+    axis: AxisConfig, start_qc: int, records: list[Record], commanded_qc: Array
+) -> AxisPlan:
+    units = AxisUnits.of(axis)
+    drive = executed(start_qc, records, units.velocity_unit_qc_s)
+    return AxisPlan(axis, units, start_qc, tuple(records), commanded_qc, drive)
+
+
+def _bus_load(
+    config: DriverConfig, axes: Sequence[AxisPlan], sent_ms: Array, end_ms: int
+) -> BusLoad:
+    """A drive reports its buffer when a record comes in and when one is taken out (TPDO1), its
+    position at the state rate (TPDO2), and answers each SYNC twice (TPDO3, TPDO4)."""
+    count, end_s = len(axes), max(end_ms, 1) / 1000
+    taken_ms = np.concatenate([axis.knots_ms for axis in axes])
+    bits_per_s = (
+        count * config.state_rate * PDO_BITS
+        + (SYNC_BITS + count * (STAMP_BITS + 2 * PDO_BITS)) / config.sync_period
+        + HEARTBEAT_BITS * (1e6 / HEARTBEAT_PERIOD_US + count * 1e3 / DRIVE_HEARTBEAT_MS)
+    )
+    at_ms = np.concatenate((sent_ms, sent_ms, taken_ms))
+    at_ms.sort()
+    within_a_second = np.searchsorted(at_ms, at_ms + 1000) - np.arange(len(at_ms))
+    return BusLoad(
+        records=len(sent_ms) * PDO_BITS / end_s / config.bitrate,
+        others=((len(at_ms) - len(sent_ms)) * PDO_BITS / end_s + bits_per_s) / config.bitrate,
+        busiest=(int(np.max(within_a_second)) * PDO_BITS + bits_per_s) / config.bitrate,
+    )
+
+
+def _latency(config: DriverConfig, ready_us: Sequence[float]) -> Latency:
+    """Each record is sent when it is fitted and the one before is through; the drives report them
+    at the latest after their inhibit time; then controlwords and SYNC."""
+    count, us_per_bit = len(config.axes), 1e6 / config.bitrate
+    through_us = 0.0
+    for fitted_us in ready_us:
+        through_us = max(through_us, fitted_us) + PDO_BITS * us_per_bit
+    start_bits = count * (PDO_BITS + CONTROLWORD_BITS) + SYNC_BITS
+    total_us = through_us + BUFFER_STATUS_INHIBIT_US + start_bits * us_per_bit
+    return Latency(len(ready_us), ready_us[-1] / 1000, total_us / 1000)
