@@ -78,7 +78,7 @@ class BusLoad:
 
     records: float  # on average over the motion
     others: float  # SYNC, clocks, controlwords, heartbeats, and what the drives report
-    busiest: float  # all of it, in the busiest second
+    busiest: float  # all of it, in the busiest second (of a shorter motion: on average)
 
 
 @dataclass(frozen=True)
@@ -183,6 +183,7 @@ def _bus_load(
     """A drive reports its buffer when a record comes in and when one is taken out (TPDO1), its
     position at the state rate (TPDO2), and answers each SYNC twice (TPDO3, TPDO4)."""
     count, end_s = len(axes), max(end_ms, 1) / 1000
+    window_s = min(end_s, 1.0)
     taken_ms = np.concatenate([axis.knots_ms for axis in axes])
     bits_per_s = (
         count * config.state_rate * PDO_BITS
@@ -191,11 +192,12 @@ def _bus_load(
     )
     at_ms = np.concatenate((sent_ms, sent_ms, taken_ms))
     at_ms.sort()
-    within_a_second = np.searchsorted(at_ms, at_ms + 1000) - np.arange(len(at_ms))
+    until = np.searchsorted(at_ms, at_ms + 1000 * window_s, side="right")
+    most = int(np.max(until - np.arange(len(at_ms))))  # of them within the window
     return BusLoad(
         records=len(sent_ms) * PDO_BITS / end_s / config.bitrate,
         others=((len(at_ms) - len(sent_ms)) * PDO_BITS / end_s + bits_per_s) / config.bitrate,
-        busiest=(int(np.max(within_a_second)) * PDO_BITS + bits_per_s) / config.bitrate,
+        busiest=(most * PDO_BITS / window_s + bits_per_s) / config.bitrate,
     )
 
 

@@ -77,7 +77,8 @@ def _figure(plan: Plan, title: str) -> Figure:
 
 def _draw_curves(axes: Axes, axis: AxisPlan, t_s: Array, commanded: Array, order: int) -> None:
     executed = axis.curve(order)
-    axes.plot(t_s, commanded, **COMMANDED)
+    until = -1 if order == 2 else None  # in its last instant it already rests
+    axes.plot(t_s[:until], commanded[:until], **COMMANDED)
     axes.plot(t_s, executed, **EXECUTED)
     if order < 2:  # the acceleration jumps at knots
         axes.plot(t_s[axis.knots_ms], executed[axis.knots_ms], **KNOTS)
