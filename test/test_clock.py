@@ -161,6 +161,21 @@ def test_a_drive_that_missed_a_sync_is_not_corrected_for_it():
     assert np.ptp(clocks(made)) <= 20
 
 
+@pytest.mark.parametrize("delay_us", [60_000, 110_000, 230_000])
+@pytest.mark.parametrize("nodes", [{3}, {1, 3, 5, 6}, set(NODES)])
+def test_answers_that_come_late_are_not_taken_for_those_to_the_next_sync(delay_us, nodes):
+    made = Bench(drives=drives(6, record=False))
+    made.enable()
+    made.run(3.0)
+    zero_us = clocks(made).mean() - made.now_us
+    made.bus.host_delay_us = lambda can_id, _: delay_us if can_id - 0x380 in nodes else 0.0
+    made.run(0.55)
+    made.bus.host_delay_us = None
+    made.run(0.3)
+    assert np.ptp(clocks(made)) <= 10
+    assert abs(clocks(made).mean() - made.now_us - zero_us) <= 5
+
+
 def test_sync_waits_for_the_stamps_of_the_last_one():
     """An adapter with several mailboxes sends a SYNC before the stamps queued ahead of it; a
     stamp that comes after the next SYNC would correct by a whole period."""

@@ -43,7 +43,6 @@ class Axis:
         self.emergency = 0
         self.heard_us = -math.inf
         self.restarted = False
-        self.latched: int | None = None  # its clock at the last SYNC; None: not answered yet
         self.account = BufferAccount()
 
     def __str__(self) -> str:
@@ -77,9 +76,11 @@ class Axis:
         self.position_qc, self.velocity = epos2.TPDO2_LAYOUT.unpack(data)
         self.sample_us = t_us
 
-    def on_tpdo3(self, data: bytes, t_us: float) -> None:
-        self.latched, statusword, self.current_ma = epos2.TPDO3_LAYOUT.unpack(data)
+    def on_tpdo3(self, data: bytes, t_us: float) -> int:
+        """Returns what its clock was at the SYNC that this answers."""
+        latched, statusword, self.current_ma = epos2.TPDO3_LAYOUT.unpack(data)
         self.report(statusword, t_us)
+        return int(latched)
 
     def on_tpdo4(self, data: bytes, t_us: float) -> None:
         self.demand_qc, self.buffer_status, self.following_error_qc = epos2.TPDO4_LAYOUT.unpack(

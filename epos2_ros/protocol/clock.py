@@ -60,7 +60,8 @@ class MasterClock:
         """TIME was on the bus at host time `t_us`: the drives count from there."""
         self._zero_us = t_us
         self._sync_us = self._sync_host_us = 0.0  # the last SYNC by the master and by the host
-        self._shown: list[int | None] = [None] * len(self.drift)  # then, corrected
+        self._shown: list[int | None] = [None] * len(self.drift)  # by each drive, corrected, …
+        self._shown_us = np.zeros(len(self.drift))  # … at the last SYNC it answered, at this time
         self._free_us = np.zeros(len(self.drift))  # the clocks, had none ever been corrected
         self._rest_us = np.zeros(len(self.drift))  # of them at the last SYNC, not in whole ticks
         self._seen: deque[tuple[float, ...]] = deque(maxlen=WINDOW)  # host's time, `_free_us`
@@ -70,6 +71,17 @@ class MasterClock:
         """The master's time at host time `t_us`, near the last SYNC."""
         rate = 1.0 if self._master is None else 1.0 + float(self.drift[self._master])
         return self._sync_us + rate * (t_us - self._zero_us - self._sync_host_us)
+
+    def answers(self, drive: int, latched: int, t_us: float) -> bool:
+        """Whether a drive's clock can be its answer to the SYNC of host time `t_us`.
+
+        A late answer to the SYNC before is off by what has passed since.
+        """
+        shown, now_us = self._shown[drive], self.master_us(t_us)
+        if shown is None:
+            return True
+        passed_us = now_us - self._shown_us[drive]
+        return bool(abs(wrapped(latched - shown) - passed_us) < (now_us - self._sync_us) / 2)
 
     def on_sync(self, t_us: float, latched: Sequence[int | None]) -> None:
         """A SYNC was on the bus at host time `t_us`.
@@ -82,21 +94,20 @@ class MasterClock:
         if len(answered) == len(latched):
             self._seen.append((host_us, *self._free_us))
             self._fit()
-        late_us = self._late_us(host_us)
-        late = float(np.median(late_us[answered])) if answered else 0.0
-        self._sync_host_us = host_us + late
-        self._rest_us = late - late_us
-        self._rest_us[np.abs(self._rest_us) > COARSEST_CLOCK_US] = 0.0
-
-        passed = float(np.median((passed_us / (1 + self.drift))[answered])) if answered else 0.0
+        if self._line is None or not answered:
+            self._sync_us, self._sync_host_us = self.master_us(t_us), host_us
+        else:
+            late_us = self._late_us(host_us)
+            late = float(np.median(late_us[answered]))
+            self._rest_us = late - late_us
+            self._rest_us[np.abs(self._rest_us) > COARSEST_CLOCK_US] = 0.0
+            self._sync_host_us = host_us + late
+            due_us = self._shown_us + passed_us / (1 + self.drift)
+            self._sync_us = self._slew(float(np.median(due_us[answered])))
         if self._master is not None:
             self._sync_us = float(self._free_us[self._master])
-        elif self._line is None or not passed:
-            self._sync_us = self._sync_host_us
-        else:
-            slew = self._sync_host_us - self._sync_us - passed
-            self._sync_us += passed + min(MAX_SLEW * passed, max(-MAX_SLEW * passed, slew))
         for drive in answered:
+            self._shown_us[drive] = self._sync_us
             off_us = (latched[drive] or 0) - self._sync_us - self._kept_us[drive]
             self.offset_us[drive] = wrapped(off_us + self._rest_us[drive])
 
@@ -123,13 +134,18 @@ class MasterClock:
         self._kept_us[:] = 0.0
 
     def _count(self, latched: Sequence[int | None]) -> np.ndarray:
-        """Go on counting; the time that has passed on each drive's clock."""
+        """Go on counting; what has passed on each drive's clock since it last answered."""
         before_us = self._free_us.copy()
         for drive, (clock, shown) in enumerate(zip(latched, self._shown, strict=True)):
             if clock is not None:
                 self._free_us[drive] += clock if shown is None else wrapped(clock - shown)
                 self._shown[drive] = clock
         return self._free_us - before_us
+
+    def _slew(self, due_us: float) -> float:
+        """The master's time, due to be `due_us`, on its way to that of the lines."""
+        most_us = MAX_SLEW * self._period_us
+        return due_us + min(most_us, max(-most_us, self._sync_host_us - due_us))
 
     def _fit(self) -> None:
         """A line per drive: how far it is ahead of the host, over the host's time."""
@@ -152,8 +168,7 @@ class MasterClock:
 
     def _late_us(self, host_us: float) -> np.ndarray:
         """How much later than by the host's clock a SYNC was, going by each drive's line."""
-        if self._line is None:
-            return np.zeros(len(self.drift))
+        assert self._line is not None
         at_us, ahead_us = self._line
         return self._free_us - host_us - ahead_us - self.drift * (host_us - at_us)
 

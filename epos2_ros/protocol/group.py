@@ -131,8 +131,7 @@ class Group:
         axis = self.axes[index]
 
         def tpdo3(data: bytes, t_us: float) -> None:
-            axis.on_tpdo3(data, t_us)
-            self.time.on_answer(t_us)
+            self.time.on_answer(index, axis.on_tpdo3(data, t_us), t_us)
 
         def emergency(data: bytes, t_us: float) -> None:
             if axis.on_emergency(data):

@@ -25,7 +25,7 @@ HOST_NODE_ID = 127
 OPERATIONAL = b"\x05"
 ANSWER_US = 500.0  # per axis, for its two synchronous TPDOs, before the next SYNC
 FOLLOW_UP_US = 40_000.0  # the time stamps wait no longer for a drive's answer, …
-FOLLOW_UP_SHARE = 0.25  # … and no longer than this share of the period
+FOLLOW_UP_SHARE = 0.4  # … and no longer than this share of the period
 
 
 class Timekeeper:
@@ -48,6 +48,7 @@ class Timekeeper:
         """Nothing is on its way."""
         self._syncing = False  # a SYNC was handed over and is not yet seen on the bus
         self._unstamped_us = math.inf  # when the SYNC was that awaits its time stamps
+        self._latched: list[int | None] = [None] * len(self._axes)  # the answers to it
         self._slow: list[int] = []  # drives to be corrected half a period after the SYNC
         self._stamps: dict[int, int] = {}  # by drive: handed over, not yet seen on the bus
 
@@ -72,13 +73,13 @@ class Timekeeper:
         self._begins_path = begins_path
         if begins_path:
             self._path_sync_us = math.inf
-        for axis in self._axes:
-            axis.latched = None
 
-    def on_answer(self, now_us: float) -> None:
-        """A drive has answered the last SYNC."""
-        if all(axis.latched is not None for axis in self._axes):
-            self._follow_up(now_us)
+    def on_answer(self, drive: int, latched: int, now_us: float) -> None:
+        """A drive has answered a SYNC with what its clock was then."""
+        if self._unstamped_us < math.inf and self.clock.answers(drive, latched, self._unstamped_us):
+            self._latched[drive] = latched
+            if None not in self._latched:
+                self._follow_up(now_us)
 
     def on_stamp(self, drive: int) -> None:
         """A drive has got its time stamp."""
@@ -154,12 +155,11 @@ class Timekeeper:
         if self._unstamped_us == math.inf:
             return
         clock = self.clock
-        latched = [axis.latched for axis in self._axes]
-        clock.on_sync(self._unstamped_us, latched)
+        clock.on_sync(self._unstamped_us, self._latched)
         self._unstamped_us = math.inf
         if self._begins_path:
             clock.keep()
-        answered = [drive for drive, value in enumerate(latched) if value is not None]
+        answered = [drive for drive, value in enumerate(self._latched) if value is not None]
         if self._last_sync_us < self._path_sync_us:
             self._slow = [drive for drive in answered if clock.drift[drive] < 0]
         self._correct([drive for drive in answered if drive not in self._slow], now_us)
