@@ -14,7 +14,7 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -36,6 +36,7 @@ from epos2_ros.files import read_parameters
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.node.parameters import Parameters
 from epos2_ros.parameters import DriverParameters
+from epos2_ros.plan import report
 from epos2_ros.plan.planning import make_plan
 from epos2_ros.protocol.group import Phase
 
@@ -271,15 +272,16 @@ def test_limits_stand_beside_what_is_reached(command, tmp_path):
     assert " −∞ … 1.25 " in " ".join(ended.row("b"))
 
 
-def test_what_rounding_takes_beyond_a_limit_is_marked(command, tmp_path):
-    """Along its limit a coarse axis can't be executed without passing it a little."""
-    params = parameters(tmp_path, axes={"a": {"max_velocity": 1.125}, "b": {}})
-    ended = command("-", "--params", params, stdin=message())
-    velocity, limit = ended.row("a")[6:8]
-    assert limit == "1.125"
-    assert velocity.startswith("*")
-    assert 1.125 < float(velocity[1:]) <= 1.05 * 1.125
-    assert "* beyond the limit" in ended.out
+def test_what_is_beyond_a_limit_is_marked():
+    """The driver holds the commanded curve to it, but records are rounded."""
+    config = DriverParameters(read_parameters(CONFIG / "gantry.yaml")).config()
+    planned = make_plan(example("raster_scan"), config, [0.0, 0.0])
+    assert "*" not in report.text(planned)
+    limits = replace(planned.limits, velocity=np.array([0.19, 0.19]))  # x has 0.2, y 0.05
+    shown = report.text(replace(planned, limits=limits))
+    assert re.search(r"^gantry_x .* \*0\.20\d\d +0\.19 ", shown, re.MULTILINE)
+    assert re.search(r"^gantry_y .* 0\.05\d\d +0\.19 ", shown, re.MULTILINE)
+    assert "\n* beyond the limit" in shown
 
 
 def test_joints_left_out_hold(command, tmp_path):
