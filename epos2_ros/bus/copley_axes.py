@@ -1,7 +1,7 @@
 """The Copley axes of a bus at work: brought up, enabled, moved in step, stopped.
 
-The owner's thread (the reactor) calls everything but `bring_up`; what blocks runs on `worker`, and
-comes back by `post`.
+The owner's thread (the reactor) calls everything but `bring_up`, which does SDO and so runs on
+`worker`; what comes back from there comes by `post`.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class CopleyAxes:
         self.nodes = [CopleyNode(network, CopleySettings.of(axis)) for axis in self.configs]
 
     def bring_up(self, call: Callable[[Job], None]) -> None:
-        """Configure every drive, from any thread but the owner's; `call` runs in that."""
+        """Configure every drive, on the worker; `call` runs in the owner's thread."""
         for index, node in enumerate(self.nodes):
             statusword = node.configure()
             call(lambda i=index, s=statusword: self.protocol.reconfigured(i, s, now_us()))  # type: ignore[misc]

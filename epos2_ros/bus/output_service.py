@@ -1,7 +1,8 @@
 """The position-triggered outputs of a bus at work.
 
-The owner's thread (the reactor) calls everything but `arm`; what blocks runs on `worker`, and comes
-back by `post`.
+The owner's thread (the reactor) calls everything but `arm` and `reconfigure`. These do SDO, so they
+run on `worker`, as all SDO does: canopen's client of a node does one thing at a time. What comes
+back from there comes by `post`.
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ class OutputService:
     def arm(self, joint: str, call: Callable[[Callable[[], object]], object]) -> None:
         """Set the outputs of a drive that has just been configured and stands.
 
-        From any thread but the owner's; `call` runs in that. DriveError if the drive refuses.
+        On the worker; `call` runs in the owner's thread. DriveError if the drive refuses.
         """
         index = self._joints.index(joint)
         if self.protocol.on_axis(index):
@@ -66,7 +67,10 @@ class OutputService:
             write_all(self._nodes[index], call(lambda: self.protocol.arm(index, position)))  # type: ignore[arg-type]
 
     def reconfigure(self, config: CompareConfig, call: Callable[[Job], None]) -> None:
-        """An output gets other parameters while its axis stands; ConfigurationError if it can't."""
+        """An output gets other parameters while its axis stands; ConfigurationError if it can't.
+
+        On the worker; `call` runs in the owner's thread.
+        """
         index = self._joints.index(config.joint)
         position = read_position(self._nodes[index])
         call(lambda: self.protocol.reconfigure(config, position))
