@@ -9,11 +9,6 @@ from typing import Any
 
 import yaml
 
-try:
-    from yaml import CSafeLoader as SafeLoader
-except ImportError:  # PyYAML without libyaml: the same, slower
-    from yaml import SafeLoader
-
 from epos2_ros.errors import ConfigurationError, Epos2RosError
 from epos2_ros.motion.trajectory import Trajectory
 
@@ -21,7 +16,11 @@ from epos2_ros.motion.trajectory import Trajectory
 DRIVER_SECTIONS = ("epos2_driver", "/epos2_driver", "/**/epos2_driver", "/**", "**", "/*", "*")
 
 
-class _Loader(SafeLoader):
+# The C parser where PyYAML has it (libyaml); the other does the same, slower.
+_SafeLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+
+class _Loader(_SafeLoader):
     """Takes 1e-3 and inf for numbers, as ROS does; YAML 1.1 wants 1.0e-3 and .inf."""
 
 

@@ -28,6 +28,7 @@ from epos2_ros.protocol.epos2 import BUFFER_SIZE
 from epos2_ros.protocol.frame import Frame
 from epos2_ros.protocol.group import IN_MOTION, Event, Group
 from epos2_ros.protocol.path import PathCommander
+from epos2_ros.protocol.timekeeper import HOST_NODE_ID
 from epos2_ros.sim.realtime import RealtimeSimulator, build_drives, save_log
 
 REQUEST_TIMEOUT_S = 30.0  # the group's own limits are shorter; this one guards the wait
@@ -111,6 +112,11 @@ class Driver:
                     f"axes.{axis.joint}.drive: {axis.drive!r} can't run in interpolated position "
                     "mode; allowed is 'epos2'"
                 )
+            if axis.node_id == HOST_NODE_ID:
+                raise ConfigurationError(
+                    f"axes.{axis.joint}.node_id is {HOST_NODE_ID}, which the driver's own heartbeat "
+                    f"has; it must be from 1 to {HOST_NODE_ID - 1}"
+                )
         if self._config.simulate:
             self._simulation = Simulation(self._config)
         self._reactor.start()
@@ -165,7 +171,7 @@ class Driver:
     def submit(self, trajectory: Trajectory) -> None:
         """Run a trajectory, or stop on the path if it has no points. TrajectoryError: refused."""
         if not len(trajectory.times_s):
-            self.stop_on_path()
+            self._reactor.call(self._path.stop)
             return
         start_us = None
         if trajectory.stamp_s:
@@ -226,9 +232,7 @@ class Driver:
             path_ms = math.inf
         link = self._link
         return Snapshot(
-            axes=tuple(
-                self._axis_snapshot(index, path_ms) for index in range(len(self._units))
-            ),
+            axes=tuple(self._axis_snapshot(index, path_ms) for index in range(len(self._units))),
             state=self._group.phase.value,
             reason=self._group.reason,
             bus_load=link.load if link else 0.0,
@@ -331,7 +335,7 @@ class Simulation:
             bitrate=config.bitrate,
             record=self._log is not None,
         )
-        self._bus = open_bus(config.interface, config.channel, config.bitrate)
+        self._bus = open_bus(config.interface, config.channel, config.bitrate, echoes=False)
         self._simulator = RealtimeSimulator(self._bus, self._drives)
         self._simulator.start()
 

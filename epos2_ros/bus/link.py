@@ -194,12 +194,14 @@ class Link:
         self._bus.shutdown()
 
 
-def open_bus(interface: str, channel: str, bitrate: int) -> can.BusABC:
-    """A python-can bus that gives our own frames back where the interface can; or BusError."""
+def open_bus(interface: str, channel: str, bitrate: int, echoes: bool = True) -> can.BusABC:
+    """A python-can bus, one that gives our own frames back if `echoes` and it can; BusError."""
     for library in ("can", "canopen"):  # what they complain of is raised, and said once
         logging.getLogger(library).setLevel(logging.CRITICAL)
     arguments: dict[str, Any] = {"interface": interface, "channel": channel, "bitrate": bitrate}
     try:
+        if not echoes:
+            return can.Bus(**arguments)
         try:
             return can.Bus(receive_own_messages=True, **arguments)
         except can.CanInterfaceNotImplementedError as error:

@@ -315,7 +315,7 @@ def _catching_up(
         ),
         np.zeros(len(w), dtype=bool),
     )
-    return way, fits.any(axis=0)
+    return way, np.asarray(fits.any(axis=0))
 
 
 def _allowed(state: State, limits: Limits) -> tuple[Array, Array]:

@@ -12,6 +12,8 @@ from epos2_ros.protocol.buffer_account import BufferAccount
 from epos2_ros.protocol.cia402 import State
 from epos2_ros.protocol.frame import Frame
 
+SYNC_ANSWER_AGE_US = 50_000.0  # an answer to SYNC may wait so long for its turn on the bus
+
 
 @dataclass(frozen=True)
 class AxisSetup:
@@ -31,6 +33,7 @@ class Axis:
         self.fit = setup.fit
         self.statusword = 0
         self.statusword_us = -math.inf
+        self._event_us = -math.inf  # of the last TPDO1
         self.buffer_status = 0
         self.free = epos2.BUFFER_SIZE
         self.position_qc: int | None = None
@@ -71,6 +74,7 @@ class Axis:
     def on_tpdo1(self, data: bytes, t_us: float) -> None:
         statusword, self.buffer_status, self.free = epos2.TPDO1_LAYOUT.unpack(data)
         self.report(statusword, t_us)
+        self._event_us = t_us
 
     def on_tpdo2(self, data: bytes, t_us: float) -> None:
         self.position_qc, self.velocity = epos2.TPDO2_LAYOUT.unpack(data)
@@ -79,14 +83,19 @@ class Axis:
     def on_tpdo3(self, data: bytes, t_us: float) -> int:
         """Returns what its clock was at the SYNC that this answers."""
         latched, statusword, self.current_ma = epos2.TPDO3_LAYOUT.unpack(data)
-        self.report(statusword, t_us)
+        if self._repeats(t_us):
+            self.report(statusword, t_us)
         return int(latched)
 
     def on_tpdo4(self, data: bytes, t_us: float) -> None:
-        self.demand_qc, self.buffer_status, self.following_error_qc = epos2.TPDO4_LAYOUT.unpack(
-            data
-        )
+        self.demand_qc, buffer_status, self.following_error_qc = epos2.TPDO4_LAYOUT.unpack(data)
+        if self._repeats(t_us):
+            self.buffer_status = buffer_status
         self.demand_us = t_us
+
+    def _repeats(self, t_us: float) -> bool:
+        """Whether a state sampled at the last SYNC is at least as new as that of TPDO1."""
+        return t_us > self._event_us + SYNC_ANSWER_AGE_US
 
     def on_emergency(self, data: bytes) -> int:
         """Error code of the emergency; 0 says that all errors are gone."""
