@@ -114,7 +114,7 @@ class Driver:
                 )
             if axis.node_id == HOST_NODE_ID:
                 raise ConfigurationError(
-                    f"axes.{axis.joint}.node_id is {HOST_NODE_ID}, which the driver's own heartbeat "
+                    f"axes.{axis.joint}.node_id is {HOST_NODE_ID}, which the host's heartbeat "
                     f"has; it must be from 1 to {HOST_NODE_ID - 1}"
                 )
         if self._config.simulate:
