@@ -226,7 +226,7 @@ def test_a_series_gets_a_new_list_while_the_axis_moves() -> None:
     series = output("series", positions=(0.01, 0.15), capacity=3)
     made, drive = bench(series)
     motion = made.start(x=0.2)
-    made.run(0.4)  # at 60 mm
+    made.run(0.6)  # at 60 to 90 mm
     made.outputs.set_positions("camera", (0.02, 0.12, 0.18))
     made.wait(motion)
     made.run(0.3)
@@ -377,10 +377,23 @@ def test_axes_leave_on_one_sync_and_arrive_together() -> None:
     assert arrivals == pytest.approx([0.7e6, 0.7e6], abs=1000.0)
 
 
+def test_a_start_that_does_not_get_onto_the_bus_before_sync_starts_nobody() -> None:
+    """No SYNC may come between two controlwords, or the axes would start apart."""
+    made, drives = two()
+    made.bus.drop = lambda can_id, data, source: can_id == 0x302  # z's synchronous controlword
+    motion = made.start(x=0.1, z=0.02)
+    made.run(2.0, motion.done)
+    assert answer_of(motion) == "the start was not seen on the bus for 1 axes"
+    made.bus.drop = None
+    made.run(1.0)
+    assert drives[1].position_actual == 0
+    assert drives[0].position_actual < 40_000  # halted as soon as it had started
+
+
 def test_a_move_while_moving_is_refused_and_the_next_is_not() -> None:
     made, _ = two()
     motion = made.start(x=0.1)
-    made.run(0.2)
+    made.run(0.4)
     with pytest.raises(TrajectoryError, match="can't move: the drives are moving"):
         made.start(x=0.0)
     made.wait(motion)

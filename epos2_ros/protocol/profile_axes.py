@@ -3,8 +3,9 @@
 No I/O: frames and times go in (`receive`, `advance`), frames, SDO writes and events come out
 (`outbox`, `writing`, `events`). SYNC is the group's; this machine only uses it:
 
-* A move's set-point is written by SDO to every drive that takes part; then "new set-point" goes
-  out in each drive's synchronous RPDO, so that one SYNC starts all of them.
+* A move's set-point is written by SDO to every drive that takes part. Then, right after a SYNC,
+  "new set-point" goes out in each drive's synchronous RPDO, is seen on the bus, and the next SYNC
+  starts all of them: no SYNC can come between two of these controlwords.
 * A set-point that a drive does not want is only seen by bit 12 staying low, so the handshake has
   a time limit (CiA 402, profile position mode).
 * One axis in trouble stops all. Nothing starts again by itself.
@@ -127,7 +128,7 @@ class ProfileAxes:
         self._phase_us = -math.inf
         self._sync_us = -math.inf
         self._unwritten: set[int] = set()
-        self._hold = False  # set-points are written; not to be started before `release`
+        self._armed: set[int] = set()  # node ids whose "new set-point" is not yet on the bus
         self._request: Future[None] | None = None
         self._motion: Future[None] | None = None
 
@@ -137,13 +138,22 @@ class ProfileAxes:
         """Take in a frame; call `advance` afterwards."""
         if frame.can_id == epos2.SYNC:
             self._on_sync(t_us)
+        elif echo and frame.can_id & 0x780 == epos2.RPDO2:
+            self._armed.discard(frame.can_id & 0x7F)
         elif not echo:
             for axis in self.axes:
                 self._on_frame(axis, frame, t_us)
 
     def _on_sync(self, t_us: float) -> None:
         self._sync_us = t_us
-        if self.phase is Phase.ARMED:
+        if self.phase is Phase.PREPARING and not self._unwritten:
+            for axis in self._taking_part():
+                self._armed.add(axis.node_id)
+                self.outbox.append(axis.synchronous_controlword(_START))
+            self._enter(Phase.ARMED, t_us)
+        elif self.phase is Phase.ARMED and self._armed:
+            self._stop_all(f"the start was not seen on the bus for {len(self._armed)} axes")
+        elif self.phase is Phase.ARMED:
             for axis in self._taking_part():
                 assert axis.move is not None
                 axis.demand = Demand(axis.move.path(t_us))
@@ -230,16 +240,16 @@ class ProfileAxes:
             axis.emergency = 0
         return self._accept(Phase.RESETTING)
 
-    def move(self, moves: Sequence[Trapezoid | None], hold: bool = False) -> Future[None]:
+    def move(self, moves: Sequence[Trapezoid | None]) -> Future[None]:
         """Start moves, [axes] in counts; None leaves an axis where it is.
 
-        With `hold` they wait, written, until `release`: then the next SYNC starts them.
+        The future ends with the motion: a result when all axes have arrived, `MotionAborted` when
+        they were stopped. `TrajectoryError` when no motion can begin.
         """
         if self.phase is not Phase.STANDING:
             raise TrajectoryError(f"can't move: the drives are {self._describe()}")
         self.reason = ""
         self._motion = Future()
-        self._hold = hold
         for index, (axis, move) in enumerate(zip(self.axes, moves, strict=True)):
             axis.move = _as_written(move) if move and move.start != move.end else None
             if axis.move:
@@ -247,15 +257,6 @@ class ProfileAxes:
                 self.writing.append((index, setpoint(axis.move)))
         self._enter(Phase.PREPARING, self._now_us)
         return self._motion
-
-    def release(self) -> None:
-        """Let a move that was held start with the next SYNC."""
-        self._hold = False
-
-    @property
-    def ready(self) -> bool:
-        """Whether a move that is held has been written to all drives."""
-        return self.phase is Phase.PREPARING and not self._unwritten
 
     # ------------------------------------------------------------------ time
 
@@ -273,7 +274,8 @@ class ProfileAxes:
             case Phase.ENABLING | Phase.DISABLING | Phase.RESETTING:
                 self._walk()
             case Phase.PREPARING:
-                self._arm()
+                what = "set-points could not be written" if self._unwritten else "no SYNC came"
+                self._limit(REPLY_TIMEOUT_US, what)
             case Phase.ARMED:
                 self._limit(REPLY_TIMEOUT_US, "no SYNC came to start the move")
             case Phase.STARTING:
@@ -325,15 +327,6 @@ class ProfileAxes:
     def _taking_part(self) -> list[ProfileAxis]:
         return [axis for axis in self.axes if axis.move is not None]
 
-    def _arm(self) -> None:
-        """All set-points written: "new set-point" with the next SYNC."""
-        if self._unwritten:
-            self._limit(REPLY_TIMEOUT_US, "set-points could not be written")
-        elif not self._hold:
-            for axis in self._taking_part():
-                self.outbox.append(axis.synchronous_controlword(_START))
-            self._enter(Phase.ARMED, self._now_us)
-
     def _confirm(self) -> None:
         """Every drive acknowledges; then bit 4 falls, or the next set-point could not rise."""
         late = [axis for axis in self._taking_part() if not axis.acknowledged]
@@ -375,6 +368,7 @@ class ProfileAxes:
                 self.outbox.append(axis.synchronous_controlword(_HALTED))
                 self.outbox.append(axis.controlword(_HALTED))
         self._unwritten.clear()
+        self._armed.clear()
 
     def _stop_all(self, reason: str) -> None:
         """Halt what can be halted; a fault, which takes a reset before anything moves again."""
