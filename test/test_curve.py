@@ -132,3 +132,12 @@ def test_part_of_a_long_curve_is_like_the_whole(name: str) -> None:
         whole = curve.evaluate(t, derivative)
         np.testing.assert_array_equal(curve.evaluate(t[1234:1299], derivative), whole[1234:1299])
         np.testing.assert_array_equal(curve.evaluate(t[::-1], derivative), whole[::-1])
+
+
+def test_a_moment_before_a_point_is_not_outside() -> None:
+    """(t − start)/h rounds to 1 there; the velocity is that of the point, not that of rest."""
+    times = np.array([0.551, 1.651, 2.651])
+    still = np.zeros((3, 1))
+    curve = Curve(times, still, np.array([[0.0], [0.3], [0.0]]))
+    just_before = np.nextafter(times[1], 0.0)
+    assert curve.evaluate(np.array([just_before]), 1)[0, 0] == pytest.approx(0.3, abs=1e-9)

@@ -107,7 +107,8 @@ class Curve:
         start = self.times_s[i]
         h = self.times_s[i + 1] - start
         u = (t_s - start) / h
-        outside = (u < 0) | (u >= 1)
+        # Of the times, not of u, which is rounded: 1 may stand for a moment before a point.
+        outside = (t_s < self.times_s[0]) | (t_s >= self.times_s[-1])
         value = hermite(np.clip(u, 0, 1)[:, None], h[:, None], self._ends(i), derivative)
         if derivative and outside.any():
             value[outside] = 0.0
