@@ -117,6 +117,11 @@ class Driver:
                     f"axes.{axis.joint}.node_id is {HOST_NODE_ID}, which the host's heartbeat "
                     f"has; it must be from 1 to {HOST_NODE_ID - 1}"
                 )
+        if self._config.sync_source != "host":
+            raise ConfigurationError(
+                f"sync.source is {self._config.sync_source!r}: a drive as clock master is not "
+                "supported yet; it must be host"
+            )
         if self._config.simulate:
             self._simulation = Simulation(self._config)
         self._reactor.start()
