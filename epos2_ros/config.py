@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from epos2_ros.compare_config import CompareConfig
+
 
 @dataclass(frozen=True)
 class HomingConfig:
@@ -68,4 +70,5 @@ class DriverConfig:
     start_tolerance: float = 0.01  # [rad or m]
     allow_partial_joints_goal: bool = False
     state_rate: float = 50.0  # [Hz]
+    outputs: tuple[CompareConfig, ...] = ()
     simulation: SimulationConfig = field(default_factory=SimulationConfig)

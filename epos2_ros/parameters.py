@@ -18,6 +18,7 @@ from difflib import get_close_matches
 from math import inf, isfinite
 from typing import Any
 
+from epos2_ros.compare_config import DIRECTIONS, KINDS, METHODS, REFERENCES, CompareConfig
 from epos2_ros.config import AxisConfig, DriverConfig, HomingConfig, SimulationConfig
 from epos2_ros.errors import ConfigurationError
 
@@ -31,7 +32,8 @@ class Spec:
     """One parameter. The default's type is the parameter's; `low` and `high` are inclusive.
 
     For a list, `low` and `high` hold for each element, and a list of numbers has the default's
-    length.
+    length; with `any_length` it may have any, and empty is the default (rcl has no empty list of
+    a certain type).
     """
 
     default: Any
@@ -40,6 +42,7 @@ class Spec:
     high: float = inf
     choices: tuple[Any, ...] = ()
     read_only: bool = False
+    any_length: bool = False
 
     @property
     def allowed(self) -> str:
@@ -56,8 +59,10 @@ class Spec:
         if isinstance(self.default, str):
             return "text"
         if isinstance(self.default[0], float):
-            return f"a list of {len(self.default)} numbers{self._bounds}"
-        return f"a list of 1 to {MAX_AXES} names, each once"
+            length = "" if self.any_length else f"{len(self.default)} "
+            return f"a list of {length}numbers{self._bounds}"
+        least = 0 if self.any_length else 1
+        return f"a list of {least} to {MAX_AXES} names, each once"
 
     @property
     def _bounds(self) -> str:
@@ -73,13 +78,17 @@ class Spec:
         """
         if not isinstance(self.default, list):
             return self._read_one(value, self.default)
+        if self.any_length and (value is None or len(value) == 0):
+            return list(self.default)
         if not isinstance(value, (list, tuple, array)):
             raise ValueError
         values = [self._read_one(v, self.default[0]) for v in value]
         if isinstance(self.default[0], str):
-            valid = 1 <= len(set(values)) == len(values) <= MAX_AXES and all(values)
+            valid = 1 <= len(set(values)) == len(values) <= MAX_AXES and (
+                all(values) or (self.any_length and values == self.default)
+            )
         else:
-            valid = len(values) == len(self.default)
+            valid = self.any_length or len(values) == len(self.default)
         if not valid:
             raise ValueError
         return values
@@ -133,7 +142,7 @@ GROUP: dict[str, Spec] = {
 }
 
 AXIS: dict[str, Spec] = {
-    "drive": Spec("epos2", "family of the drive", choices=("epos2",)),
+    "drive": Spec("epos2", "family of the drive", choices=("epos2", "copley")),
     "node_id": Spec(1, "CANopen node id", 1, MAX_AXES),
     "type": Spec("revolute", "revolute [rad] or prismatic [m]", choices=("revolute", "prismatic")),
     "counts_per_turn": Spec(2000, "quadrature counts per motor turn [qc]", 4, 10_000_000),
@@ -161,6 +170,25 @@ AXIS: dict[str, Spec] = {
     "homing.order": Spec(0, "axes of the lowest order home first", 0, 127),
 }
 
+OUTPUT: dict[str, Spec] = {
+    "joint": Spec("", "the joint whose position triggers the output"),
+    "kind": Spec("crossing", "window, crossing, series, interval or marker", choices=KINDS),
+    "pin": Spec(1, "number of the output on the joint's drive", 1, 127),
+    "method": Spec("", "hardware or software; '': hardware where it can", choices=("", *METHODS)),
+    "window": Spec([inf, inf], "[lower, upper] [rad or m]; inf: not set"),
+    "positions": Spec([inf], "of crossing and series [rad or m]; inf: not set", any_length=True),
+    "start": Spec(inf, "of interval: a position with a pulse [rad or m]; inf: not set"),
+    "interval": Spec(0.0, "from one pulse to the next [rad or m]; 0: not set", 0.0),
+    "end": Spec(inf, "of interval: a pulse at most here [rad or m]; inf: none"),
+    "direction": Spec("both", "up, down or both", choices=DIRECTIONS),
+    "pulse": Spec(0.001, "pulse width [s]", 0.0, 5e6),
+    "toggle": Spec(False, "toggle the output instead of giving a pulse"),
+    "inverted": Spec(False, "the output is active low"),
+    "reference": Spec("actual", "actual or commanded position", choices=REFERENCES),
+    "capacity": Spec(0, "positions a series may grow to; 0: as many as it has", 0, 32767),
+    "extrapolated": Spec(False, "the drive extrapolates this encoder: it is not quadrature"),
+}
+
 
 class DriverParameters:
     """The parameters of a driver with certain joints: their values, and what is wrong with them.
@@ -184,6 +212,11 @@ class DriverParameters:
             for name, spec in AXIS.items():
                 own = replace(spec, default=place) if name == "node_id" else spec
                 self._add(f"axes.{joint}.{name}", own, given)
+        named = "names of the position-triggered outputs"
+        self._add("outputs", Spec([""], named, read_only=True, any_length=True), given)
+        for output in filter(None, self.values["outputs"]):
+            for name, spec in OUTPUT.items():
+                self._add(f"compare.{output}.{name}", spec, given)
         for name in given:
             if name not in self.specs:
                 self.complaints[name] = self._unknown(name, given[name])
@@ -217,11 +250,38 @@ class DriverParameters:
             start_tolerance=values["constraints.start_tolerance"],
             allow_partial_joints_goal=values["allow_partial_joints_goal"],
             state_rate=values["state_rate"],
+            outputs=tuple(map(self.output, filter(None, values["outputs"]))),
             simulation=SimulationConfig(
                 drift_ppm=values["simulation.drift_ppm"],
                 seed=values["simulation.seed"],
                 log=values["simulation.log"] or None,
             ),
+        )
+
+    def output(self, name: str) -> CompareConfig:
+        """One position-triggered output; ConfigurationError when it can't be."""
+
+        def value(parameter: str) -> Any:
+            return self.values[f"compare.{name}.{parameter}"]
+
+        return CompareConfig(
+            name=name,
+            joint=value("joint"),
+            kind=value("kind"),
+            pin=value("pin"),
+            method=value("method") or None,
+            window=tuple(value("window")) if all(map(isfinite, value("window"))) else None,
+            positions=tuple(filter(isfinite, value("positions"))),
+            start=_finite(value("start")),
+            interval=value("interval") or None,
+            end=_finite(value("end")),
+            direction=value("direction"),
+            pulse=value("pulse"),
+            toggle=value("toggle"),
+            inverted=value("inverted"),
+            reference=value("reference"),
+            capacity=value("capacity"),
+            extrapolated=value("extrapolated"),
         )
 
     def _add(self, name: str, spec: Spec, given: Mapping[str, Any]) -> None:

@@ -25,11 +25,6 @@ from epos2_ros.protocol.path_watch import PathWatch, ProfilePathWatch, RecordPat
 from epos2_ros.protocol.profile_axes import ProfileAxes
 from epos2_ros.sim.copley import Copley
 from epos2_ros.sim.epos2 import Epos2
-from epos2_ros.sim.epos2_compare import PositionOutputs
-
-
-class ComparingEpos2(PositionOutputs, Epos2):
-    """An EPOS2 with position compare and position marker."""
 
 
 class CompareBench(Bench):
@@ -67,6 +62,7 @@ class CompareBench(Bench):
             if self.outputs.on_axis(index):
                 write_all(node, self.outputs.arm(index, read_position(node)))
         self.group.start_clock(self.now_us, bytes(6))
+        self.profile.start_watch(self.now_us)
         self._flush()
 
     def enable(self) -> None:

@@ -7,7 +7,6 @@ from typing import Any
 import canopen
 import numpy as np
 import pytest
-from compare_bench import ComparingEpos2
 from sim_host import Host
 
 from epos2_ros.bus.bringup import object_dictionary
@@ -15,6 +14,7 @@ from epos2_ros.compare_config import CompareConfig
 from epos2_ros.motion.crossings import Path
 from epos2_ros.motion.units import AxisUnits
 from epos2_ros.protocol.epos2_compare import CompareOutput, MarkerOutput
+from epos2_ros.sim.epos2 import Epos2
 
 COUNTS = AxisUnits("x", "m", 2000, 1.0)
 REVERSED = AxisUnits("x", "m", 2000, -1.0)
@@ -120,7 +120,7 @@ def test_the_marker_counter_wraps_and_what_was_overwritten_is_counted() -> None:
 
 def test_the_simulated_drive_has_the_objects_of_the_eds() -> None:
     dictionary = object_dictionary()
-    simulated = ComparingEpos2(1).dictionary
+    simulated = Epos2(1).dictionary
     for index in (0x2074, 0x2079, 0x207A):
         for subindex, variable in dictionary[index].items():
             assert isinstance(variable, canopen.objectdictionary.ODVariable)
@@ -133,7 +133,7 @@ class Axis(Host):
     """An enabled EPOS2 in profile position mode."""
 
     def __init__(self) -> None:
-        self.drive = ComparingEpos2(1, lag_ms=0.0)
+        self.drive = Epos2(1, lag_ms=0.0)
         super().__init__(self.drive)
         self.nmt(0x01)
         for word in (0x06, 0x07, 0x0F):

@@ -38,6 +38,7 @@ from epos2_ros.errors import BusError, DriveError, TrajectoryError
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.node import messages
 from epos2_ros.node.driver import EXECUTOR_THREADS, DriverNode, main
+from epos2_ros.protocol.outputs import OutputEvent
 
 WAIT_S = 20.0  # for something that must happen; reached only when it does not
 LOG_LINE = re.compile(r"\[(\w+)\] \[[\d.]+\] \[epos2_driver\]: (.*)")
@@ -82,9 +83,15 @@ def snapshot_of(*axes: AxisSnapshot, **values: Any) -> Snapshot:
 class FakeDriver:
     """The facade of the bus layer: notes what it is asked, fails or blocks when told to."""
 
-    def __init__(self, config: DriverConfig, on_event: Callable[[Event], None]) -> None:
+    def __init__(
+        self,
+        config: DriverConfig,
+        on_event: Callable[[Event], None],
+        on_output: Callable[[OutputEvent], None],
+    ) -> None:
         self.config = config
         self.on_event = on_event
+        self.on_output = on_output
         self.calls: list[str] = []
         self.trajectories: list[Any] = []
         self.failures: dict[str, Exception] = {}
@@ -163,8 +170,8 @@ class World:
     def start(self, **parameters: Any) -> DriverNode:
         self._redirect_stderr()
 
-        def make(config: DriverConfig, on_event: Callable[[Event], None]) -> Any:
-            driver = FakeDriver(config, on_event)
+        def make(config: DriverConfig, *listeners: Any) -> Any:
+            driver = FakeDriver(config, *listeners)
             self.prepare(driver)
             self.drivers.append(driver)
             return driver

@@ -6,15 +6,18 @@ What the simulated drives really fired is the truth; times are also worked out b
 from __future__ import annotations
 
 import math
+import struct
 from concurrent.futures import Future
+from dataclasses import replace
 from pathlib import Path as File
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
-from compare_bench import CompareBench, ComparingEpos2, copley_axis
+from compare_bench import CompareBench, copley_axis
 
+from epos2_ros.bus.sdo_jobs import write_all
 from epos2_ros.compare_config import CompareConfig
 from epos2_ros.config import AxisConfig, DriverConfig
 from epos2_ros.errors import ConfigurationError, DriveError, MotionAborted, TrajectoryError
@@ -23,6 +26,7 @@ from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.protocol.outputs import OutputEvent, Outputs
 from epos2_ros.protocol.profile_axes import Phase
 from epos2_ros.sim.copley import Copley
+from epos2_ros.sim.epos2 import Epos2
 
 COUNT = 0.5e-6  # [m]
 LOOP_US = 250.0
@@ -45,7 +49,7 @@ def bench(
     """x on a Copley drive, y on an EPOS2, enabled."""
     drive = drive or Copley(1)
     config = DriverConfig(axes=(copley_axis("x", 1, **changes), AxisConfig("y", 2)))
-    made = CompareBench(config, outputs, [drive, ComparingEpos2(2)])
+    made = CompareBench(config, outputs, [drive, Epos2(2)])
     made.enable()
     return made, drive
 
@@ -99,7 +103,7 @@ def test_raster_scan_on_an_epos2(examples: File, lag_ms: float) -> None:
     config = DriverConfig(
         axes=(AxisConfig("gantry_x", 1, **BELT), AxisConfig("gantry_y", 2, **BELT))
     )
-    drives = [ComparingEpos2(1, lag_ms=lag_ms), ComparingEpos2(2, lag_ms=lag_ms)]
+    drives = [Epos2(1, lag_ms=lag_ms), Epos2(2, lag_ms=lag_ms)]
     camera = output("interval", "gantry_x", start=0.0005, interval=0.001, pulse=0.0005)
     made = CompareBench(config, [camera], drives)
     made.enable()
@@ -132,7 +136,7 @@ def test_an_epos2_that_turns_on_an_output_tells_what_it_fires(examples: File) ->
     config = DriverConfig(
         axes=(AxisConfig("gantry_x", 1, **BELT), AxisConfig("gantry_y", 2, **BELT))
     )
-    drives = [ComparingEpos2(1, lag_ms=0.0), ComparingEpos2(2, lag_ms=0.0)]
+    drives = [Epos2(1, lag_ms=0.0), Epos2(2, lag_ms=0.0)]
     camera = output("interval", "gantry_x", start=0.0, interval=0.001)
     made = CompareBench(config, [camera], drives)
     made.enable()
@@ -244,13 +248,36 @@ def test_an_output_is_configured_anew() -> None:
     made.run(0.2)
     changed = output("interval", start=0.0, interval=0.005)
     assert drive.position_actual == 40_000
-    made.outputs.reconfigure(changed, drive.position_actual)
+    write_all(made.sdo[0], made.outputs.reconfigure(changed, drive.position_actual))
     made.move(x=0.0)
     made.run(0.3)
     downward = [(40_000, False), (30_000, False), (20_000, False), (10_000, False)]
     assert counts(made.of("camera")) == [(20_000, True), *downward] == fired(drive)
     with pytest.raises(ConfigurationError, match="lower end comes first"):
         made.outputs.reconfigure(output("window", window=(0.2, 0.1)), 0)
+
+
+def test_a_series_that_grows_takes_no_other_series_memory() -> None:
+    first = CompareConfig("glue", "x", "series", positions=(0.01, 0.02), pulse=0.005)
+    second = CompareConfig("flash", "x", "series", pin=2, positions=(0.015,), pulse=0.005)
+    made, drive = bench(first, second)
+    longer = replace(first, positions=(0.005, 0.01, 0.02), capacity=9)
+    write_all(made.sdo[0], made.outputs.reconfigure(longer, drive.position_actual))
+    made.move(x=0.024)
+    made.run(0.3)
+    assert counts(made.of("glue")) == [(10_000, True), (20_000, True), (40_000, True)]
+    assert [pulse.value for pulse in drive.pins[0].fired] == [10_000, 20_000, 40_000]
+    assert [pulse.value for pulse in drive.pins[1].fired] == [30_000]
+
+
+def test_an_output_that_moves_to_another_pin_leaves_its_own() -> None:
+    made, drive = bench(output("crossing", positions=(0.01,)))
+    moved = output("crossing", positions=(0.01,), pin=2)
+    write_all(made.sdo[0], made.outputs.reconfigure(moved, drive.position_actual))
+    functions = [made.sdo[0].sdo.upload(0x2193, pin)[0] for pin in (1, 2)]
+    assert functions == [4, 16]  # a window, and the compare module
+    low, high = struct.unpack("<ii", made.sdo[0].sdo.upload(0x2193, 1)[2:])
+    assert low > high  # which nothing is in
 
 
 def test_outputs_whose_drive_was_set_by_somebody_else_are_armed_anew() -> None:
@@ -267,7 +294,7 @@ def test_outputs_whose_drive_was_set_by_somebody_else_are_armed_anew() -> None:
 
 def test_the_position_marker_tells_captured_positions() -> None:
     axis = AxisConfig("gantry_x", 1, **BELT)
-    drive = ComparingEpos2(1)
+    drive = Epos2(1)
     probe = CompareConfig("probe", "gantry_x", "marker", direction="up")
     made = CompareBench(DriverConfig(axes=(axis,)), [probe], [drive])
     made.enable()
@@ -358,7 +385,7 @@ def two(**changes: Any) -> tuple[CompareBench, list[Copley]]:
     config = DriverConfig(
         axes=(copley_axis("x", 1), copley_axis("z", 2, max_velocity=0.05), AxisConfig("y", 3))
     )
-    made = CompareBench(config, (), [*drives, ComparingEpos2(3)])
+    made = CompareBench(config, (), [*drives, Epos2(3)])
     made.enable()
     return made, drives
 
@@ -470,4 +497,4 @@ def test_a_drive_in_fault_is_reset() -> None:
 def test_the_wrong_drive_and_no_drive_are_said() -> None:
     axes = (copley_axis("x", 1), AxisConfig("y", 2))
     with pytest.raises(DriveError, match="is not a Copley drive: .* vendor 0x000000FB"):
-        CompareBench(DriverConfig(axes=axes), (), [ComparingEpos2(1), ComparingEpos2(2)])
+        CompareBench(DriverConfig(axes=axes), (), [Epos2(1), Epos2(2)])

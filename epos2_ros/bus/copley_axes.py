@@ -1,18 +1,20 @@
 """The Copley axes of a bus at work: brought up, enabled, moved in step, stopped.
 
-The owner's thread (the reactor) calls everything but `bring_up`, which does SDO and so runs on
-`worker`; what comes back from there comes by `post`.
+The reactor's thread calls everything but `bring_up`, which does SDO and so runs on the worker.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor, Future
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Future
+from functools import partial
 
 from epos2_ros.bus.copley import CopleyNode, CopleySettings
 from epos2_ros.bus.link import Network
+from epos2_ros.bus.reactor import Reactor
 from epos2_ros.bus.sdo_jobs import write_all
 from epos2_ros.bus.timestamps import now_us
+from epos2_ros.bus.worker import Worker
 from epos2_ros.config import AxisConfig
 from epos2_ros.errors import DriveError, TrajectoryError
 from epos2_ros.motion.trapezoid import Trapezoid, in_step
@@ -21,31 +23,26 @@ from epos2_ros.protocol.frame import Frame
 from epos2_ros.protocol.profile_axes import ProfileAxes
 from epos2_ros.protocol.sdo import SdoWrite
 
-Job = Callable[[], None]
-
 
 class CopleyAxes:
     """All axes of `configs`, which are those with `drive: copley`."""
 
-    def __init__(
-        self, configs: Sequence[AxisConfig], worker: Executor, post: Callable[[Job], None]
-    ) -> None:
+    def __init__(self, configs: Sequence[AxisConfig], worker: Worker, reactor: Reactor) -> None:
         self.configs = tuple(configs)
         self.protocol = ProfileAxes([(axis.joint, axis.node_id) for axis in configs])
         self.nodes: list[CopleyNode] = []
         self._units = [AxisUnits.of(axis) for axis in configs]
         self._worker = worker
-        self._post = post
+        self._reactor = reactor
 
     def open(self, network: Network) -> None:
         """A bus has been opened."""
         self.nodes = [CopleyNode(network, CopleySettings.of(axis)) for axis in self.configs]
 
-    def bring_up(self, call: Callable[[Job], None]) -> None:
-        """Configure every drive, on the worker; `call` runs in the owner's thread."""
-        for index, node in enumerate(self.nodes):
-            statusword = node.configure()
-            call(lambda i=index, s=statusword: self.protocol.reconfigured(i, s, now_us()))  # type: ignore[misc]
+    def bring_up(self, index: int) -> None:
+        """Configure a drive, on the worker."""
+        statusword = self.nodes[index].configure()
+        self._reactor.call(lambda: self.protocol.reconfigured(index, statusword, now_us()))
 
     def move_to(self, targets: Mapping[str, float], duration_s: float = 0.0) -> Future[None]:
         """Start for these positions [unit], leaving and arriving together.
@@ -91,7 +88,7 @@ class CopleyAxes:
             abs(units.to_qc_s(config.max_acceleration)),
         )
 
-    # ------------------------------------------------------------------ the owner's thread
+    # ------------------------------------------------------------------ frames and time
 
     def receive(self, frame: Frame, t_us: float, echo: bool) -> None:
         """Take in a frame."""
@@ -102,7 +99,7 @@ class CopleyAxes:
         self.protocol.advance(now)
         while self.protocol.writing:
             index, writes = self.protocol.writing.popleft()
-            self._worker.submit(self._write, index, writes)
+            self._worker.post(partial(self._write, index, writes))
         return self.protocol.deadline_us
 
     def _write(self, index: int, writes: Sequence[SdoWrite]) -> None:
@@ -111,4 +108,4 @@ class CopleyAxes:
             error = ""
         except DriveError as refusal:
             error = str(refusal)
-        self._post(lambda: self.protocol.written(index, error))
+        self._reactor.post(lambda: self.protocol.written(index, error))

@@ -8,28 +8,43 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures import TimeoutError as FutureTimeoutError
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from typing import TypeVar
+
+import numpy as np
 
 from epos2_ros.bus.bringup import Epos2Node
+from epos2_ros.bus.copley_axes import CopleyAxes
 from epos2_ros.bus.link import Link, open_bus
+from epos2_ros.bus.output_service import OutputService
 from epos2_ros.bus.reactor import Reactor
 from epos2_ros.bus.settings import axis_setup, drive_settings, group_settings
 from epos2_ros.bus.timestamps import now_us, wall_offset_us
-from epos2_ros.config import DriverConfig
+from epos2_ros.bus.worker import Worker
+from epos2_ros.compare_config import CompareConfig
+from epos2_ros.config import AxisConfig, DriverConfig
 from epos2_ros.errors import ConfigurationError, DriveError, Epos2RosError, MotionAborted
+from epos2_ros.motion.crossings import Path
+from epos2_ros.motion.reference import Reference
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.motion.units import AxisUnits
 from epos2_ros.protocol.clock import time_of_day
 from epos2_ros.protocol.epos2 import BUFFER_SIZE
 from epos2_ros.protocol.frame import Frame
-from epos2_ros.protocol.group import IN_MOTION, Event, Group
-from epos2_ros.protocol.path import PathCommander
+from epos2_ros.protocol.group import IN_MOTION, Event, Group, Phase
+from epos2_ros.protocol.outputs import OutputEvent
+from epos2_ros.protocol.path import PathCommander, Placement
+from epos2_ros.protocol.profile_axes import IN_MOTION as IN_PROFILE_MOTION
+from epos2_ros.protocol.profile_axes import Phase as ProfilePhase
 from epos2_ros.protocol.timekeeper import HOST_NODE_ID
+from epos2_ros.sim.copley import Copley
 from epos2_ros.sim.realtime import RealtimeSimulator, build_drives, save_log
+
+T = TypeVar("T")
 
 REQUEST_TIMEOUT_S = 30.0  # the group's own limits are shorter; this one guards the wait
 IDLE_US = 100_000.0
@@ -78,8 +93,16 @@ class Driver:
     """One group of drives on one bus. All methods are thread-safe and bounded in time."""
 
     def __init__(
-        self, config: DriverConfig, on_event: Callable[[Event], None] = lambda event: None
+        self,
+        config: DriverConfig,
+        on_event: Callable[[Event], None] = lambda event: None,
+        on_output: Callable[[OutputEvent], None] = lambda event: None,
     ) -> None:
+        self._all_axes = config.axes
+        # The group moves in interpolated position mode; the others beside it.
+        config = replace(config, axes=tuple(a for a in config.axes if a.drive == "epos2"))
+        if not config.axes:
+            raise ConfigurationError("joints: none has drive epos2; the driver needs one")
         self._config = config
         self._on_event = on_event
         self._reactor = Reactor(self._step)
@@ -89,8 +112,20 @@ class Driver:
         self._nodes: list[Epos2Node] = []
         self._group = Group([axis_setup(axis) for axis in config.axes], group_settings(config))
         self._path = PathCommander(self._group, config)
-        self._worker = ThreadPoolExecutor(1, thread_name_prefix="sdo")
+        self._worker = Worker()
         self._announcer = ThreadPoolExecutor(1, thread_name_prefix="events")
+        copley = [axis for axis in self._all_axes if axis.drive == "copley"]
+        self._copley = CopleyAxes(copley, self._worker, self._reactor)
+        self._outputs = OutputService(
+            self._all_axes,
+            config.outputs,
+            self._group,
+            self._copley.protocol,
+            self._worker,
+            self._reactor,
+            partial(self._announce, on_output),
+            lambda text: self._announce(on_event, Event("warning", text)),
+        )
 
     # ------------------------------------------------------------------ life
 
@@ -106,11 +141,11 @@ class Driver:
             raise
 
     def _configure(self) -> None:
-        for axis in self._config.axes:
-            if axis.drive != "epos2":
+        for axis in self._all_axes:
+            if axis.drive not in ("epos2", "copley"):
                 raise ConfigurationError(
-                    f"axes.{axis.joint}.drive: {axis.drive!r} can't run in interpolated position "
-                    "mode; allowed is 'epos2'"
+                    f"axes.{axis.joint}.drive: {axis.drive!r} is not a family this driver knows; "
+                    "allowed are 'epos2' and 'copley'"
                 )
             if axis.node_id == HOST_NODE_ID:
                 raise ConfigurationError(
@@ -123,11 +158,13 @@ class Driver:
                 "supported yet; it must be host"
             )
         if self._config.simulate:
-            self._simulation = Simulation(self._config)
+            self._simulation = Simulation(self._config, self._copley.configs)
         self._reactor.start()
         self._open()
         for index in range(len(self._nodes)):
-            self._bring_up(index)
+            self._worker.run(partial(self._bring_up, index))
+        for index in range(len(self._copley.nodes)):
+            self._worker.run(partial(self._bring_up_copley, index))
         self._reactor.call(self._start_clock)
 
     def _open(self) -> None:
@@ -143,17 +180,28 @@ class Driver:
         self._nodes = [
             Epos2Node(self._link.network, drive_settings(axis, config)) for axis in config.axes
         ]
+        self._copley.open(self._link.network)
+        nodes = {node.settings.joint: node.node for node in self._nodes}
+        nodes |= {node.settings.joint: node.node for node in self._copley.nodes}
+        self._outputs.open(nodes)
 
     def _start_clock(self) -> None:
-        self._group.start_clock(now_us(), time_of_day(time.time()))
+        now = now_us()
+        self._group.start_clock(now, time_of_day(time.time()))
+        self._copley.protocol.start_watch(now)
 
     def _bring_up(self, index: int) -> None:
         statusword = self._nodes[index].configure()
         self._reactor.call(lambda: self._group.reconfigured(index, statusword, now_us()))
+        self._outputs.arm(self._nodes[index].settings.joint)
+
+    def _bring_up_copley(self, index: int) -> None:
+        self._copley.bring_up(index)
+        self._outputs.arm(self._copley.configs[index].joint)
 
     def close(self) -> None:
         """Close the bus. Drives that are still enabled stop on the host's missing heartbeat."""
-        self._worker.shutdown()
+        self._worker.close()
         self._reactor.stop()
         self._announcer.shutdown()
         if self._link is not None:
@@ -165,13 +213,14 @@ class Driver:
 
     def enable(self) -> None:
         """Every axis to "operation enabled", holding. DriveError says which axis is where."""
-        self._wait(self._reactor.call(self._group.enable), "enable")
+        self._wait_for("enable", self._group.enable, self._copley.protocol.enable)
 
     def disable(self) -> None:
         """Stop on the path, then switch every axis off."""
         if self._moving():
             self.stop_on_path()
-        self._wait(self._reactor.call(self._group.disable), "disable")
+        self._wait_for("halt", self._copley.protocol.halt)
+        self._wait_for("disable", self._group.disable, self._copley.protocol.disable)
 
     def submit(self, trajectory: Trajectory) -> None:
         """Run a trajectory, or stop on the path if it has no points. TrajectoryError: refused."""
@@ -188,9 +237,30 @@ class Driver:
                 partial(self._path.place, trajectory, start_us, begun_us, lead_ms)
             )
             reference = placement.join()
-            if self._reactor.call(partial(self._path.commit, placement, reference)):
+            if self._reactor.call(partial(self._commit, placement, reference)):
                 return
             lead_ms = round((now_us() - begun_us) / 500)  # twice as long as it took
+
+    def move_to(self, targets: Mapping[str, float], duration_s: float = 0.0) -> None:
+        """Axes in profile position mode to positions [unit], leaving and arriving together.
+
+        Returns when they have left. TrajectoryError: refused.
+        """
+        self._reactor.call(lambda: self._copley.move_to(targets, duration_s))
+
+    def set_positions(self, output: str, positions: Sequence[float]) -> None:
+        """A series gets other positions [unit]; ConfigurationError if it can't."""
+        self._reactor.call(lambda: self._outputs.protocol.set_positions(output, positions))
+
+    def set_output(self, config: CompareConfig) -> None:
+        """An output gets other parameters. ConfigurationError if it can't, or while axes move;
+        DriveError if the drive refuses. It is then as before.
+        """
+        if self._moving() or self._copley.protocol.phase in IN_PROFILE_MOTION:
+            raise ConfigurationError(
+                f"compare.{config.name} can't change while the axes move, except for positions"
+            )
+        self._worker.run(partial(self._outputs.reconfigure, config))
 
     def stop_on_path(self) -> None:
         """All axes slow down together along the commanded path; returns when they stand."""
@@ -203,11 +273,12 @@ class Driver:
 
     def halt(self) -> None:
         """Each axis stops at once on its own ramp, off the path, and holds."""
-        self._wait(self._reactor.call(self._group.halt), "halt")
+        self._wait_for("halt", self._group.halt, self._copley.protocol.halt)
 
     def quick_stop(self) -> None:
         """Each axis stops on its quick stop ramp and leaves "operation enabled"."""
-        self._wait(self._reactor.call(self._group.quick_stop), "quick stop")
+        stops = self._group.quick_stop, self._copley.protocol.quick_stop
+        self._wait_for("quick stop", *stops)
 
     def reset_fault(self) -> None:
         """Reopen a bus that failed, bring restarted or lost drives up again, reset every fault.
@@ -215,15 +286,20 @@ class Driver:
         The axes stay off.
         """
         lost = self._reactor.call(self._group.lost_axes)
+        lost_copley = self._reactor.call(self._copley.protocol.lost_axes)
         if self._link is not None and self._link.failed:
             self._link.close()
             self._open()
             lost = list(range(len(self._nodes)))
+            lost_copley = list(range(len(self._copley.nodes)))
         for index in lost:
-            self._bring_up(index)
-        if lost:
+            self._worker.run(partial(self._bring_up, index))
+        for index in lost_copley:
+            self._worker.run(partial(self._bring_up_copley, index))
+        if lost or lost_copley:
             self._reactor.call(self._start_clock)
-        self._wait(self._reactor.call(self._group.reset_fault), "reset fault")
+        resets = self._group.reset_fault, self._copley.protocol.reset_fault
+        self._wait_for("reset fault", *resets)
 
     def snapshot(self) -> Snapshot:
         """Everything the topics show."""
@@ -236,8 +312,10 @@ class Driver:
         if self._group.phase not in IN_MOTION:
             path_ms = math.inf
         link = self._link
+        axes = [self._axis_snapshot(index, path_ms) for index in range(len(self._units))]
+        by_joint = {axis.joint: axis for axis in [*axes, *self._copley_snapshots()]}
         return Snapshot(
-            axes=tuple(self._axis_snapshot(index, path_ms) for index in range(len(self._units))),
+            axes=tuple(by_joint[axis.joint] for axis in self._all_axes),
             state=self._group.phase.value,
             reason=self._group.reason,
             bus_load=link.load if link else 0.0,
@@ -274,8 +352,42 @@ class Driver:
             records_sent=axis.account.sent,
         )
 
+    def _copley_snapshots(self) -> list[AxisSnapshot]:
+        nan = math.nan
+        snapshots = []
+        for axis, config in zip(self._copley.protocol.axes, self._copley.configs, strict=True):
+            units, known = AxisUnits.of(config), axis.position_qc is not None
+            snapshots.append(
+                AxisSnapshot(
+                    joint=axis.joint,
+                    node_id=axis.node_id,
+                    state=axis.state.value,
+                    position=units.from_qc(float(axis.position_qc or 0)) if known else nan,
+                    velocity=units.from_qc_s(axis.velocity_qc_s) if known else nan,
+                    effort=nan,
+                    stamp_us=axis.sample_us,
+                    used=0,
+                    free=0,
+                    size=0,
+                    buffered_ms=0.0,
+                    status_word=0,
+                    fault=axis.trouble,
+                    following_error_qc=0,
+                    clock_offset_us=nan,
+                    clock_drift_ppm=nan,
+                    executed_qc=axis.position_qc,
+                    records_sent=0,
+                )
+            )
+        return snapshots
+
     def _moving(self) -> bool:
         return self._reactor.call(lambda: self._group.phase in IN_MOTION)
+
+    def _wait_for(self, what: str, *requests: Callable[[], Future[None]]) -> None:
+        """Make the requests, then wait for all of them."""
+        for answer in [self._reactor.call(request) for request in requests]:
+            self._wait(answer, what)
 
     @staticmethod
     def _wait(answer: Future[None], what: str) -> None:
@@ -286,11 +398,16 @@ class Driver:
 
     def _on_frame(self, frame: Frame, t_us: float, echo: bool) -> None:
         self._group.receive(frame, t_us, echo)
-        self._group.advance(now_us())
+        self._copley.receive(frame, t_us, echo)
+        self._outputs.receive(frame, t_us, echo)
+        now = now_us()
+        self._group.advance(now)
+        self._copley.advance(now)
         self._flush()
 
     def _on_failure(self, text: str) -> None:
         self._group.bus_failed(text)
+        self._copley.protocol.bus_failed(text)
 
     def _step(self) -> float:
         """What is due, in the reactor; when it is to be called next [host µs]."""
@@ -298,25 +415,85 @@ class Driver:
         if link is not None:
             link.pump()
             if link.stalled:
-                self._group.bus_failed(
+                self._on_failure(
                     f"{link.name} no longer puts frames on the bus: check the cable, its "
                     "termination and whether any drive is powered"
                 )
         now = now_us()
         self._path.advance(now)
         self._group.advance(now)
+        beside_us = self._copley.advance(now)
+        self._outputs.flush()
         self._flush()
-        deadline = min(self._group.deadline_us, now + IDLE_US)
+        deadline = min(self._group.deadline_us, beside_us, now + IDLE_US)
         return min(deadline, link.deadline_us) if link is not None else deadline
 
     def _flush(self) -> None:
-        """Carry out what the group asks for."""
+        """Carry out what the axes ask for."""
+        self._stop_together()
         while self._group.outbox and self._link is not None:
             self._link.send(self._group.outbox.popleft())
         while self._group.clearing:
-            self._worker.submit(self._clear_buffer, self._group.clearing.popleft())
+            self._worker.post(partial(self._clear_buffer, self._group.clearing.popleft()))
+        while self._copley.protocol.outbox and self._link is not None:
+            self._link.send(self._copley.protocol.outbox.popleft())
         while self._group.events:
-            self._announcer.submit(self._on_event, self._group.events.popleft())
+            event = self._group.events.popleft()
+            self._settle(event)
+            self._announce(self._on_event, event)
+        while self._copley.protocol.events:
+            self._announce(self._on_event, Event(*self._copley.protocol.events.popleft()))
+
+    def _stop_together(self) -> None:
+        """One axis in trouble stops all, and at once."""
+        group, profile = self._group, self._copley.protocol
+        if group.phase in (Phase.HALTING, Phase.FAULT):
+            profile.halt(group.reason)
+        if profile.phase is ProfilePhase.FAULT and group.phase in IN_MOTION:
+            group.halt(profile.reason)
+
+    def _announce(self, tell: Callable[[T], None], event: T) -> None:
+        self._announcer.submit(tell, event)
+
+    # ------------------------------------------------------------------ outputs
+
+    def _commit(self, placement: Placement, reference: Reference) -> bool:
+        """As the path commander's; predictions are made of motions that begin from rest."""
+        standing = self._group.phase is Phase.STANDING
+        if not self._path.commit(placement, reference):
+            return False
+        if not self._config.outputs:
+            return True
+        self._outputs.protocol.forget()
+        if standing:
+            for axis in self._config.axes:
+                self._outputs.protocol.begin(self._all_axes.index(axis))
+            self._announcer.submit(self._predict, reference)
+        return True
+
+    def _predict(self, reference: Reference) -> None:
+        """Every crossing of the motion, and what is to be said of it before it happens."""
+        k = np.arange(reference.end_ms + 1)
+        positions, velocities = reference.positions(k), reference.velocities(k)
+        for index, axis in enumerate(self._config.axes):
+            place = self._all_axes.index(axis)
+            path = Path(k.astype(float) * 1000, positions[:, index], velocities[:, index])
+            predictions = self._outputs.protocol.predict(place, path)
+            self._reactor.post(partial(self._outputs.protocol.expect, predictions))
+            for name, prediction in predictions.items():
+                for warning in prediction.warnings:
+                    self._on_event(Event("warning", f"compare.{name}: {warning}"))
+
+    def _settle(self, event: Event) -> None:
+        """A motion is over: what it fired is held against what was predicted."""
+        if event.kind in ("aborted", "fault"):
+            self._outputs.protocol.forget()
+        elif event.kind == "done" and self._group.start_us is not None:
+            for axis in self._config.axes:
+                place = self._all_axes.index(axis)
+                delay_us = self._outputs.protocol.watches[place].executed.delay_us
+                zero_us = self._group.start_us + delay_us
+                self._outputs.protocol.finished(place, zero_us, now_us())
 
     def _clear_buffer(self, index: int) -> None:
         try:
@@ -330,7 +507,7 @@ class Driver:
 class Simulation:
     """Simulated drives for every joint of the configuration, on the driver's own bus."""
 
-    def __init__(self, config: DriverConfig) -> None:
+    def __init__(self, config: DriverConfig, copley: Sequence[AxisConfig]) -> None:
         self._log = config.simulation.log
         self._drives = build_drives(
             [axis.node_id for axis in config.axes],
@@ -341,7 +518,8 @@ class Simulation:
             record=self._log is not None,
         )
         self._bus = open_bus(config.interface, config.channel, config.bitrate, echoes=False)
-        self._simulator = RealtimeSimulator(self._bus, self._drives)
+        beside = [Copley(axis.node_id, t_us=now_us()) for axis in copley]
+        self._simulator = RealtimeSimulator(self._bus, [*self._drives, *beside])
         self._simulator.start()
 
     def close(self) -> None:

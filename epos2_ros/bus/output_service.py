@@ -1,19 +1,20 @@
 """The position-triggered outputs of a bus at work.
 
-The owner's thread (the reactor) calls everything but `arm` and `reconfigure`. These do SDO, so they
-run on `worker`, as all SDO does: canopen's client of a node does one thing at a time. What comes
-back from there comes by `post`.
+The reactor's thread calls everything but `arm` and `reconfigure`. These do SDO, so they run on the
+worker, as all SDO does.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor
+from functools import partial
 
 import canopen
 
+from epos2_ros.bus.reactor import Reactor
 from epos2_ros.bus.sdo_jobs import perform, read_position, write_all
 from epos2_ros.bus.timestamps import now_us
+from epos2_ros.bus.worker import Worker
 from epos2_ros.compare_config import CompareConfig
 from epos2_ros.config import AxisConfig
 from epos2_ros.errors import DriveError
@@ -22,8 +23,6 @@ from epos2_ros.protocol.group import Group
 from epos2_ros.protocol.outputs import OutputEvent, Outputs, SdoJob
 from epos2_ros.protocol.path_watch import PathWatch, ProfilePathWatch, RecordPathWatch
 from epos2_ros.protocol.profile_axes import ProfileAxes
-
-Job = Callable[[], None]
 
 
 class OutputService:
@@ -35,8 +34,8 @@ class OutputService:
         configs: Sequence[CompareConfig],
         group: Group,
         profile: ProfileAxes,
-        worker: Executor,
-        post: Callable[[Job], None],
+        worker: Worker,
+        reactor: Reactor,
         on_event: Callable[[OutputEvent], None],
         on_notice: Callable[[str], None],
     ) -> None:
@@ -48,7 +47,7 @@ class OutputService:
         self._joints = [axis.joint for axis in axes]
         self._nodes: list[canopen.RemoteNode] = []
         self._worker = worker
-        self._post = post
+        self._reactor = reactor
         self._on_event = on_event
         self._on_notice = on_notice
 
@@ -56,26 +55,37 @@ class OutputService:
         """A bus has been opened; by joint, the nodes on it."""
         self._nodes = [nodes[joint] for joint in self._joints]
 
-    def arm(self, joint: str, call: Callable[[Callable[[], object]], object]) -> None:
+    # ------------------------------------------------------------------ on the worker
+
+    def arm(self, joint: str) -> None:
         """Set the outputs of a drive that has just been configured and stands.
 
-        On the worker; `call` runs in the owner's thread. DriveError if the drive refuses.
+        DriveError if the drive refuses.
         """
-        index = self._joints.index(joint)
-        if self.protocol.on_axis(index):
-            position = read_position(self._nodes[index])
-            write_all(self._nodes[index], call(lambda: self.protocol.arm(index, position)))  # type: ignore[arg-type]
+        axis = self._joints.index(joint)
+        if self.protocol.on_axis(axis):
+            node = self._nodes[axis]
+            position = read_position(node)
+            write_all(node, self._reactor.call(lambda: self.protocol.arm(axis, position)))
 
-    def reconfigure(self, config: CompareConfig, call: Callable[[Job], None]) -> None:
-        """An output gets other parameters while its axis stands; ConfigurationError if it can't.
+    def reconfigure(self, config: CompareConfig) -> None:
+        """An output gets other parameters while its axis stands.
 
-        On the worker; `call` runs in the owner's thread.
+        ConfigurationError if it can't, DriveError if the drive refuses; it is then as before.
         """
-        index = self._joints.index(config.joint)
-        position = read_position(self._nodes[index])
-        call(lambda: self.protocol.reconfigure(config, position))
+        axis, before = self._reactor.call(lambda: self.protocol.find(config.name))
+        try:
+            self._configure(axis, config)
+        except DriveError:
+            self._configure(axis, before)
+            raise
 
-    # ------------------------------------------------------------------ the owner's thread
+    def _configure(self, axis: int, config: CompareConfig) -> None:
+        node = self._nodes[axis]
+        position = read_position(node)
+        write_all(node, self._reactor.call(lambda: self.protocol.reconfigure(config, position)))
+
+    # ------------------------------------------------------------------ in the reactor's thread
 
     def receive(self, frame: Frame, t_us: float, echo: bool) -> None:
         """Take in a frame, after the axes have."""
@@ -89,13 +99,13 @@ class OutputService:
         while self.protocol.notices:
             self._on_notice(self.protocol.notices.popleft())
         while self.protocol.jobs:
-            self._worker.submit(self._perform, self.protocol.jobs.popleft())
+            self._worker.post(partial(self._perform, self.protocol.jobs.popleft()))
 
     def _perform(self, job: SdoJob) -> None:
         try:
             answer = perform(self._nodes[job.axis], job, now_us)
         except DriveError as refusal:
             reason = str(refusal)
-            self._post(lambda: self.protocol.failed(job, reason))
+            self._reactor.post(lambda: self.protocol.failed(job, reason))
         else:
-            self._post(lambda: self.protocol.answered(job, *answer))
+            self._reactor.post(lambda: self.protocol.answered(job, *answer))

@@ -32,24 +32,32 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import MultiThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from epos2_ros.bus.driver import Driver, Event
+from epos2_ros.compare_config import CompareConfig
 from epos2_ros.config import DriverConfig
-from epos2_ros.errors import Epos2RosError
+from epos2_ros.errors import Epos2RosError, TrajectoryError
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.node import messages
 from epos2_ros.node.parameters import Parameters
+from epos2_ros.protocol.outputs import OutputEvent
 
 EXECUTOR_THREADS = 8  # lifecycle and parameters, trajectory, four services, topics; one to spare
 DIAGNOSTICS_PERIOD_S = 1.0
+EVENTS_KEPT = 1000  # of an output, for a subscriber that is slow: they come in bursts
+CLOCK_READINGS = 3
 SWITCH_INTERVAL_S = 0.0005  # how long a received frame waits for a computing thread; Python: 5 ms
 
-MakeDriver = Callable[[DriverConfig, Callable[[Event], None]], Driver]
+MakeDriver = Callable[
+    [DriverConfig, Callable[[Event], None], Callable[[OutputEvent], None]], Driver
+]
 Transition = Callable[["DriverNode", LifecycleState], TransitionCallbackReturn]
 
 
@@ -80,7 +88,9 @@ class DriverNode(LifecycleNode):
         self._driver: Driver | None = None
         self._active = False
         self._transitions = threading.RLock()
-        self._declared = Parameters(self, changeable=lambda: self._driver is None)
+        self._declared = Parameters(
+            self, changeable=lambda: self._driver is None, set_output=self._set_output
+        )
         self._channel = ""
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._topics_group = MutuallyExclusiveCallbackGroup()
@@ -96,6 +106,24 @@ class DriverNode(LifecycleNode):
             10,
             callback_group=MutuallyExclusiveCallbackGroup(),
         )
+        self.create_subscription(
+            JointTrajectory,
+            "~/move_to",
+            self._on_move_to,
+            10,
+            callback_group=MutuallyExclusiveCallbackGroup(),
+        )
+        self._output_events: dict[str, Publisher] = {}
+        for output in self._declared.outputs:
+            at = f"~/compare/{output}"
+            self._output_events[output] = self.create_publisher(JointState, at, EVENTS_KEPT)
+            self.create_subscription(
+                Float64MultiArray,
+                f"{at}/positions",
+                functools.partial(self._on_positions, output),
+                10,
+                callback_group=MutuallyExclusiveCallbackGroup(),
+            )
         self._offer(SetBool, "~/enable", self._on_enable)
         self._offer_trigger("~/halt", "halted", lambda driver: driver.halt())
         self._offer_trigger("~/quick_stop", "stopped", lambda driver: driver.quick_stop())
@@ -111,7 +139,7 @@ class DriverNode(LifecycleNode):
     @_transition
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         config = self._declared.config()
-        driver = self._make_driver(config, self._on_event)
+        driver = self._make_driver(config, self._on_event, self._on_output)
         driver.configure()
         self._driver, self._channel = driver, config.channel
         self._topic_timers = [
@@ -207,6 +235,31 @@ class DriverNode(LifecycleNode):
         except Epos2RosError as error:
             self.get_logger().error(f"trajectory refused: {error}")
 
+    def _on_move_to(self, message: JointTrajectory) -> None:
+        try:
+            target = Trajectory.from_message(message)
+            if len(target.times_s) != 1:
+                raise TrajectoryError(f"{len(target.times_s)} points; a move has one, its target")
+            positions = dict(zip(target.joint_names, target.positions[0], strict=True))
+            self._activated().move_to(positions, float(target.times_s[0]))
+        except Epos2RosError as error:
+            self.get_logger().error(f"move refused: {error}")
+
+    def _on_positions(self, output: str, message: Float64MultiArray) -> None:
+        try:
+            self._configured().set_positions(output, list(message.data))
+        except Epos2RosError as error:
+            self.get_logger().error(f"positions refused: {error}")
+
+    def _on_output(self, event: OutputEvent) -> None:
+        self._output_events[event.name].publish(
+            messages.output_event(event, self._ros_time(event.t_us))
+        )
+
+    def _set_output(self, config: CompareConfig) -> None:
+        """A parameter of an output has changed while the driver runs."""
+        self._configured().set_output(config)
+
     def _publish_joint_states(self) -> None:
         if (driver := self._driver) is not None:
             snapshot = driver.snapshot()
@@ -230,13 +283,20 @@ class DriverNode(LifecycleNode):
 
     def _ros_time(self, host_us: float) -> Time:
         """Host time (monotonic [µs]) as ROS time."""
-        age_ns = time.monotonic_ns() - round(host_us * 1e3)
-        sec, nanosec = divmod(max(0, self.get_clock().now().nanoseconds - age_ns), 10**9)
+        readings = []
+        for _ in range(CLOCK_READINGS):  # the one that took least was not interrupted
+            before = time.monotonic_ns()
+            now = self.get_clock().now().nanoseconds
+            readings.append((time.monotonic_ns() - before, now - before))
+        _, offset_ns = min(readings)
+        sec, nanosec = divmod(max(0, round(host_us * 1e3) + offset_ns), 10**9)
         return Time(sec=sec, nanosec=nanosec)
 
     def _on_event(self, event: Event) -> None:
         if event.kind in ("aborted", "fault"):
             self.get_logger().error(event.text)
+        elif event.kind == "warning":
+            self.get_logger().warning(event.text)
         else:
             self.get_logger().info(event.text)
 

@@ -17,6 +17,7 @@ from epos2_ros.protocol.epos2 import BufferStatus
 
 if TYPE_CHECKING:
     from epos2_ros.bus.driver import AxisSnapshot, Snapshot
+    from epos2_ros.protocol.outputs import OutputEvent
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
@@ -34,7 +35,14 @@ def joint_state(snapshot: Snapshot, stamp: Time) -> JointState:
 
 def buffer_status(snapshot: Snapshot, channel: str, stamp: Time) -> DiagnosticArray:
     """The interpolation buffer of each drive; the flags are those of object 0x20C4-01."""
-    return _array(stamp, (_buffer_of(axis, channel) for axis in snapshot.axes))
+    return _array(stamp, (_buffer_of(axis, channel) for axis in snapshot.axes if axis.size))
+
+
+def output_event(event: OutputEvent, stamp: Time) -> JointState:
+    """The joint, its position and velocity where an output has fired."""
+    message = JointState(name=[event.joint], position=[event.position], velocity=[event.velocity])
+    message.header.stamp = stamp
+    return message
 
 
 def diagnostics(snapshot: Snapshot, node: str, channel: str, stamp: Time) -> DiagnosticArray:

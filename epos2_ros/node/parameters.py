@@ -19,18 +19,27 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from epos2_ros.compare_config import CompareConfig
 from epos2_ros.config import DriverConfig
+from epos2_ros.errors import Epos2RosError
 from epos2_ros.parameters import DriverParameters, Spec
 
 
 class Parameters:
     """Declares the node's parameters and reads them as a `DriverConfig`.
 
-    `changeable` tells whether a new value may be taken now (the node is unconfigured).
+    `changeable` tells whether a new value may be taken now (the node is unconfigured). What
+    belongs to an output may change later, too: `set_output` lets its drive follow, or raises.
     """
 
-    def __init__(self, node: Node, changeable: Callable[[], bool]) -> None:
+    def __init__(
+        self,
+        node: Node,
+        changeable: Callable[[], bool],
+        set_output: Callable[[CompareConfig], None] = lambda config: None,
+    ) -> None:
         self._changeable = changeable
+        self._set_output = set_output
         # What files and command line say, whether declared or not; rclpy has no public name for
         # it. Without what rclpy has declared itself, such as use_sim_time.
         overrides = node._parameter_overrides.items()
@@ -46,17 +55,23 @@ class Parameters:
     def __getitem__(self, name: str) -> Any:
         return self._parameters.values[name]
 
+    @property
+    def outputs(self) -> list[str]:
+        """Names of the position-triggered outputs."""
+        return [name for name in self["outputs"] if name]
+
     def config(self) -> DriverConfig:
         """The parameters as they stand; ConfigurationError for the first that is wrong."""
         return self._parameters.config()
 
     def _review(self, changes: Iterable[Parameter]) -> SetParametersResult:
         """Refuses at `ros2 param set` what would make `config` fail, and changes too late."""
+        changes = list(changes)
         for change in changes:
             spec = self._parameters.specs.get(change.name)
             if spec is None:  # rclpy's own, such as use_sim_time
                 continue
-            if not self._changeable():
+            if not self._changeable() and not change.name.startswith("compare."):
                 reason = f"{change.name} can change only while the node is unconfigured"
                 return SetParametersResult(successful=False, reason=reason)
             try:
@@ -64,7 +79,26 @@ class Parameters:
             except ValueError:
                 reason = spec.complaint(change.name, change.value)
                 return SetParametersResult(successful=False, reason=reason)
+        if not self._changeable():
+            try:
+                self._change_outputs(changes)
+            except Epos2RosError as error:
+                return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
+
+    def _change_outputs(self, changes: Iterable[Parameter]) -> None:
+        """All changes of an output at once: between them it need make no sense."""
+        mine = [change for change in changes if change.name.startswith("compare.")]
+        before = dict(self._parameters.values)
+        try:
+            for change in mine:
+                self._parameters.set(change.name, change.value)
+            for output in self.outputs:
+                if any(change.name.startswith(f"compare.{output}.") for change in mine):
+                    self._set_output(self._parameters.output(output))
+        except Epos2RosError:
+            self._parameters.values.update(before)
+            raise
 
     def _take(self, changes: Iterable[Parameter]) -> None:
         for change in changes:

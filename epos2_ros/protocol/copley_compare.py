@@ -18,7 +18,7 @@ from epos2_ros.compare_config import CompareConfig
 from epos2_ros.motion.compare import Trigger
 from epos2_ros.motion.crossings import Grid, Points
 from epos2_ros.motion.units import INT32_MAX, INT32_MIN, AxisUnits
-from epos2_ros.protocol.compare import CountScale
+from epos2_ros.protocol.compare import CountScale, Output
 from epos2_ros.protocol.compare_events import (
     ComputedTracker,
     DualTracker,
@@ -92,6 +92,11 @@ class OutputPin:
         """Output `pin`, counted from 1."""
         data = _OUTPUT.pack(self.configuration, self.first & _MASK, self.second & _MASK)
         return SdoWrite(OUTPUT_CONFIGURATION, pin, data)
+
+    @classmethod
+    def inactive(cls, inverted: bool = False) -> OutputPin:
+        """A window that holds no position."""
+        return cls(Function.WINDOW, INT32_MAX, INT32_MIN, inverted)
 
     @classmethod
     def series(
@@ -188,7 +193,10 @@ class HardwareOutput:
         ]
 
     def disarm(self) -> list[SdoWrite]:
-        return [SdoWrite.integer(COMPARE_CONFIGURATION, 0, 0, 4)]
+        return [
+            SdoWrite.integer(COMPARE_CONFIGURATION, 0, 0, 4),
+            OutputPin.inactive(self.config.inverted).write(self.config.pin),
+        ]
 
     def tracker(self, position_qc: int) -> Tracker:
         module, reads = self._at(position_qc), compare_reads()
@@ -292,9 +300,7 @@ class SoftwareOutput:
         return [*self._load(), self._pin.write(self.config.pin)]
 
     def disarm(self) -> list[SdoWrite]:
-        """A window that holds no position: the output stays inactive."""
-        never = replace(self._pin, function=Function.WINDOW, first=INT32_MAX, second=INT32_MIN)
-        return [never.write(self.config.pin)]
+        return [OutputPin.inactive(self.config.inverted).write(self.config.pin)]
 
     def with_positions(self, positions: Sequence[float]) -> SoftwareOutput:
         """A series with other positions [unit]; ConfigurationError if they can't be."""
@@ -408,7 +414,7 @@ def make_outputs(
     return outputs
 
 
-def trace_words(outputs: Sequence[HardwareOutput | SoftwareOutput]) -> int:
+def trace_words(outputs: Sequence[Output]) -> int:
     """Trace memory that the outputs of one drive need [16-bit words]."""
     return sum(output.words for output in outputs if isinstance(output, SoftwareOutput))
 

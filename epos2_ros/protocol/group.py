@@ -71,7 +71,7 @@ _WALK_TARGET = {
 class Event(NamedTuple):
     """Something a user wants to read in the log."""
 
-    kind: str  # "started", "done", "aborted" or "fault"
+    kind: str  # "started", "done", "aborted", "fault" or "warning"
     text: str
 
 
@@ -222,11 +222,11 @@ class Group:
             self._accept(request, Phase.DISABLING)
         return request
 
-    def halt(self) -> Future[None]:
+    def halt(self, reason: str = "halted on request") -> Future[None]:
         """Stop every axis on its own ramp (profile deceleration), at once; then hold."""
         request: Future[None] = Future()
         if self.phase in IN_MOTION:
-            self._stop_all("halted on request", request)
+            self._stop_all(reason, request)
         elif self.phase is Phase.HALTING:
             request.set_exception(DriveError("already halting"))
         else:

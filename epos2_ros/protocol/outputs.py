@@ -69,6 +69,10 @@ class _Armed:
     told: list[tuple[int, bool, float]] = field(default_factory=list)  # since it has begun
     settled: tuple[float, float] | None = None  # the motion's zero and end
 
+    def forget(self) -> None:
+        """The motion is over, or comes to another end than was predicted."""
+        self.recording, self.expected, self.settled = False, None, None
+
 
 class Outputs:
     """ConfigurationError for what the drives of `axes` can't do."""
@@ -113,11 +117,15 @@ class Outputs:
         """The outputs of one drive."""
         return [armed.output for armed in self._armed.values() if armed.axis == axis]
 
+    def find(self, name: str) -> tuple[int, CompareConfig]:
+        """The axis of an output, and how it is configured."""
+        armed = self._named(name)
+        return armed.axis, armed.output.config
+
     def arm(self, axis: int, position_qc: int) -> list[SdoWrite]:
         """What switches on all outputs of a drive whose axis stands at `position_qc`."""
         mine = [armed for armed in self._armed.values() if armed.axis == axis]
-        software = [a.output for a in mine if isinstance(a.output, SoftwareOutput)]
-        words = copley_compare.trace_words(software)
+        words = copley_compare.trace_words([armed.output for armed in mine])
         writes = [copley_compare.reserve(words)] if words else []
         for armed in mine:
             writes += self._start(armed, position_qc)
@@ -130,31 +138,48 @@ class Outputs:
 
     def set_positions(self, name: str, positions: Sequence[float]) -> None:
         """A series gets other positions [unit], also while the axis moves."""
-        armed = self._find(name)
+        armed = self._named(name)
         before = armed.output
         if not isinstance(before, SoftwareOutput):
             raise before.config.refuse("kind", "only a series takes new positions while in use")
         after = before.with_positions(positions)
         armed.output = after
         armed.tracker = after.tracker(0)
+        armed.forget()
         self.jobs.append(SdoJob(armed.axis, name, tuple(after.update(before))))
 
-    def reconfigure(self, config: CompareConfig, position_qc: int) -> None:
-        """An output is configured anew while its axis stands at `position_qc`."""
-        armed = self._find(config.name)
+    def reconfigure(self, config: CompareConfig, position_qc: int) -> list[SdoWrite]:
+        """What configures an output anew while its axis stands at `position_qc`."""
+        changed = self._named(config.name)
+        before = changed.output.config
+        if config.joint != before.joint:
+            raise config.refuse("joint", "an output can't go to another drive while in use")
+        if config.pin != before.pin and self._axes[changed.axis].drive == "epos2":
+            raise config.refuse("pin", f"an EPOS2 can't take output {before.pin} back while in use")
         configs = [
-            config if other.output.config.name == config.name else other.output.config
-            for other in self._armed.values()
+            config if armed is changed else armed.output.config for armed in self._armed.values()
         ]
         check_pins(configs)
-        if config.joint != armed.output.config.joint:
-            raise config.refuse("joint", "an output can't go to another drive while in use")
-        after = {output.config.name: output for output in self._make(armed.axis, configs)}
-        before, armed.output = armed.output, after[config.name]
-        writes = [*before.disarm(), *self._start(armed, position_qc)]
-        self.jobs.append(SdoJob(armed.axis, config.name, tuple(writes)))
+        mine = [armed for armed in self._armed.values() if armed.axis == changed.axis]
+        made = {output.config.name: output for output in self._make(changed.axis, configs)}
+        words_before = copley_compare.trace_words([armed.output for armed in mine])
+        writes, again = changed.output.disarm(), [changed]
+        for armed in mine:
+            armed.output = made[armed.output.config.name]
+        words = copley_compare.trace_words([armed.output for armed in mine])
+        if words != words_before:  # the trace memory is shared out anew, and has to be loaded
+            writes.append(copley_compare.reserve(words))
+            again = [
+                armed
+                for armed in mine
+                if armed is changed or isinstance(armed.output, SoftwareOutput)
+            ]
+        for armed in again:
+            writes += self._start(armed, position_qc)
+        self.notices.extend(CountScale(config, self._units[changed.axis]).remarks)
+        return writes
 
-    def _find(self, name: str) -> _Armed:
+    def _named(self, name: str) -> _Armed:
         if name not in self._armed:
             raise ConfigurationError(
                 f"there is no output {name}; the outputs are {', '.join(self._armed) or 'none'}"
@@ -181,7 +206,7 @@ class Outputs:
     def expect(self, predictions: Mapping[str, Prediction]) -> None:
         """The predictions of the motion that has begun, to be held against what is reported."""
         for name, prediction in predictions.items():
-            self._find(name).expected = prediction
+            self._named(name).expected = prediction
 
     def finished(self, axis: int, zero_us: float, end_us: float) -> None:
         """The axis' motion, whose predictions count from `zero_us`, is over: compare."""
@@ -192,7 +217,7 @@ class Outputs:
     def forget(self) -> None:
         """The motion came to another end than was predicted."""
         for armed in self._armed.values():
-            armed.recording, armed.expected, armed.settled = False, None, None
+            armed.forget()
 
     def _settle(self, armed: _Armed, now_us: float) -> None:
         if armed.expected is None or armed.settled is None:
@@ -203,7 +228,7 @@ class Outputs:
         wrong = difference(armed.expected.fired, armed.told, zero_us)
         if wrong:
             self.notices.append(f"compare.{armed.output.config.name}: {wrong}")
-        armed.recording, armed.expected, armed.settled = False, None, None
+        armed.forget()
 
     # ------------------------------------------------------------------ what comes back
 

@@ -127,6 +127,7 @@ class ProfileAxes:
         self._now_us = -math.inf
         self._phase_us = -math.inf
         self._sync_us = -math.inf
+        self._watching = False
         self._unwritten: set[int] = set()
         self._armed: set[int] = set()  # node ids whose "new set-point" is not yet on the bus
         self._request: Future[None] | None = None
@@ -187,6 +188,22 @@ class ProfileAxes:
         self.axes[index].emergency = 0
         self.report(index, statusword, now_us)
 
+    def start_watch(self, now_us: float) -> None:
+        """All drives are brought up: from now on one that is silent or restarts is trouble."""
+        self._watching = True
+        for axis in self.axes:
+            axis.heard_us = now_us
+
+    def bus_failed(self, reason: str) -> None:
+        """Nothing gets through any more; the drives stop by themselves."""
+        if self.phase is not Phase.FAULT:
+            self.reason = reason
+            self._settle_fault()
+
+    def lost_axes(self) -> list[int]:
+        """Axes that need to be brought up anew: restarted, or silent."""
+        return [n for n, axis in enumerate(self.axes) if axis.restarted or self._silent(axis)]
+
     def written(self, index: int, error: str = "") -> None:
         """Answer to a request in `writing`."""
         if error:
@@ -210,12 +227,12 @@ class ProfileAxes:
             return _refused("can't disable while moving: stop first")
         return self._accept(Phase.DISABLING)
 
-    def halt(self) -> Future[None]:
+    def halt(self, reason: str = "halted on request") -> Future[None]:
         """Stop every axis on its deceleration; they hold."""
         if self.phase not in IN_MOTION:
             return _done()
         request = self._accept(Phase.HALTING)
-        self.reason = "halted on request"
+        self.reason = reason
         self._send_halt()
         return request
 
@@ -263,7 +280,7 @@ class ProfileAxes:
     def advance(self, now_us: float) -> None:
         """Do what is due at `now_us`, and set `deadline_us`."""
         self._now_us = now_us
-        if self.phase not in (Phase.FAULT, Phase.HALTING, Phase.RESETTING, Phase.DISABLED):
+        if self._watching and self.phase not in (Phase.FAULT, Phase.HALTING, Phase.RESETTING):
             self._watch()
         self._progress()
         idle = self.phase in (Phase.DISABLED, Phase.STANDING, Phase.FAULT)
@@ -384,7 +401,7 @@ class ProfileAxes:
             for axis in self.axes
             if axis.state is State.OPERATION_ENABLED
             and not (axis.at_rest and axis.statusword_us > self._phase_us)
-            and self._now_us < axis.heard_us + SILENCE_TIMEOUT_US
+            and not self._silent(axis)
         ]
         if late:
             names = ", ".join(map(str, late))
@@ -415,10 +432,13 @@ class ProfileAxes:
         complaints += [
             f"{axis} is silent: check its power and the bus"
             for axis in self.axes
-            if self._now_us > axis.heard_us + SILENCE_TIMEOUT_US
+            if self._silent(axis)
         ]
         if complaints:
             self._stop_all("; ".join(complaints))
+
+    def _silent(self, axis: ProfileAxis) -> bool:
+        return self._now_us > axis.heard_us + SILENCE_TIMEOUT_US
 
     def _limit(self, limit_us: float, reason: str) -> None:
         """A fault if the phase has lasted longer."""

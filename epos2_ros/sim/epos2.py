@@ -26,7 +26,7 @@ from __future__ import annotations
 import math
 from functools import partial
 
-from .cia402 import SOFTWARE_POSITION_LIMIT, Control, Drive, Mode, State, Status
+from .cia402 import SOFTWARE_POSITION_LIMIT, Control, Mode, State, Status
 from .clock import MotionClock
 from .dictionary import (
     INTEGER8,
@@ -39,6 +39,7 @@ from .dictionary import (
     Entry,
     SdoAbort,
 )
+from .epos2_compare import PositionOutputs
 from .homing import Switches
 from .interpolation import BUFFER_SIZE, BufferStatus, Fifo, Point, Segment
 from .motor import Motor
@@ -50,7 +51,7 @@ IPM_ERROR = 0xFF0C
 _TOLERANCE = 1 + 1e-9  # for limits that are met exactly
 
 
-class Epos2(Drive):
+class Epos2(PositionOutputs):
     """One drive.
 
     node_id:            1 … 127
@@ -64,7 +65,7 @@ class Epos2(Drive):
     record:             keep what is executed in `recorder`
     """
 
-    MODES = (*Drive.MODES, Mode.INTERPOLATED_POSITION)
+    MODES = (*PositionOutputs.MODES, Mode.INTERPOLATED_POSITION)
 
     def __init__(
         self,
