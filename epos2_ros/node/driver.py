@@ -47,6 +47,7 @@ from epos2_ros.errors import Epos2RosError, TrajectoryError
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.node import messages
 from epos2_ros.node.parameters import Parameters
+from epos2_ros.node.serialized import read_trajectory
 from epos2_ros.protocol.outputs import OutputEvent
 
 EXECUTOR_THREADS = 8  # lifecycle and parameters, trajectory, four services, topics; one to spare
@@ -105,6 +106,7 @@ class DriverNode(LifecycleNode):
             self._on_trajectory,
             10,
             callback_group=MutuallyExclusiveCallbackGroup(),
+            raw=True,
         )
         self.create_subscription(
             JointTrajectory,
@@ -229,9 +231,9 @@ class DriverNode(LifecycleNode):
 
     # -- topics ------------------------------------------------------------------------------
 
-    def _on_trajectory(self, message: JointTrajectory) -> None:
+    def _on_trajectory(self, serialized: bytes) -> None:
         try:
-            self._activated().submit(Trajectory.from_message(message))
+            self._activated().submit(read_trajectory(serialized))
         except Epos2RosError as error:
             self.get_logger().error(f"trajectory refused: {error}")
 
