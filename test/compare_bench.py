@@ -149,6 +149,7 @@ class CompareBench(Bench):
     def _on_frame(self, can_id: int, data: bytes, t_us: float, echo: bool) -> None:
         super()._on_frame(can_id, data, t_us, echo)
         _, frame, _ = self.frames[-1]
+        t_us = self.stamp_us(t_us)
         self.profile.receive(frame, t_us, echo)
         self.outputs.receive(frame, t_us, echo)
         self.profile.advance(self.now_us)

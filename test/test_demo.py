@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ import pytest
 import yaml
 
 from epos2_ros.demo.commanded import Commanded, Scale, scales
+from epos2_ros.demo.outputs import Crossing, OutputResult, expected_of
 from epos2_ros.demo.report import Observed, Report
 from epos2_ros.demo.terminal import Terminal, bar
 from epos2_ros.files import read_parameters
@@ -106,7 +108,9 @@ class Run:
 
     def __init__(self, folder: Path) -> None:
         self.log = folder / "log.npz"
-        self.scales = [Scale(f"j{n}", n + 1, "rad", TURN_QC / (2 * np.pi), 0.0) for n in (0, 1)]
+        self.scales = [
+            Scale(f"j{n}", n + 1, "epos2", "rad", TURN_QC / (2 * np.pi), 0.0) for n in (0, 1)
+        ]
         self.trajectory = trajectory(
             [0.0, 2.0], [[0, 0], [2 * np.pi, 2 * np.pi]], velocities=[[0, 0], [0, 0]]
         )
@@ -195,6 +199,64 @@ def test_only_the_last_motion_counts(ran):
     assert ran.report().failures() == []
 
 
+# -- position-triggered outputs --------------------------------------------------------------
+
+SWING = trajectory([0.0, 1.0, 2.0], [[0.0], [1.0], [0.0]], velocities=[[0.0], [0.0], [0.0]])
+
+
+def crossings(direction: str = "both", sign: int = 1, **settings: Any) -> list[Crossing]:
+    """On a joint of 1000 counts a metre that goes 1 m out and back, a second each way."""
+    given = {f"compare.camera.{n}": v for n, v in settings.items()}
+    given["compare.camera.direction"] = direction
+    scale = Scale("j0", 1, "epos2", "m", sign * 1000.0, 0.0)
+    return expected_of("camera", given, Commanded(SWING), 0, scale)
+
+
+def test_what_should_fire_is_worked_out_from_the_trajectory():
+    """The cubic 3t² − 2t³ is at 0.5 at half its time, and symmetric about it."""
+    interval = {"kind": "interval", "start": 0.25, "interval": 0.5}
+    assert [c[1:] for c in crossings(**interval)] == [
+        *((250, True), (750, True), (750, False), (250, False)),
+    ]
+    times = [c.t_s for c in crossings(**interval)]
+    assert times[0] + times[1] == pytest.approx(1.0, abs=1e-3)
+    assert times[0] + times[3] == pytest.approx(2.0, abs=1e-6)
+    once = crossings("up", kind="crossing", positions=[0.5005])  # nearest count 500, from 499.5
+    assert [c[1:] for c in once] == [(500, True)]
+    assert once[0].t_s == pytest.approx(0.5 - 0.0005 / 1.5, abs=1e-6)  # 1.5 m/s there
+
+
+def test_a_joint_that_counts_backwards_is_seen_from_the_joint():
+    up = crossings("up", sign=-1, kind="crossing", positions=[0.5])
+    assert [c[1:] for c in up] == [(-500, False)]
+
+
+@pytest.mark.parametrize(
+    ("told", "failure"),
+    [
+        ([(0.1, 5, True), (0.2, 6, True)], ""),
+        ([(0.1, 5, True)], "camera: 1 events, expected 2"),
+        (
+            [(0.1, 5, True), (0.2, 7, True)],
+            "camera: event 2 at 7 qc upward, expected at 6 qc upward",
+        ),
+        (
+            [(0.1, 5, False), (0.2, 6, True)],
+            "camera: event 1 at 5 qc downward, expected at 5 qc upward",
+        ),
+    ],
+)  # fmt: skip
+def test_other_events_than_expected_fail(told, failure, ran):
+    expected = (Crossing(0.1, 5, True), Crossing(0.2, 6, True))
+    result = OutputResult("camera", "j0", expected, tuple(Crossing(*event) for event in told))
+    assert result.failure == failure
+    report = replace(ran.report(), outputs=(result,))
+    assert report.failures() == ([failure] if failure else [])
+    out = io.StringIO()
+    report.print(Terminal(out))
+    assert re.search(rf"^camera +{len(told)}!? +2 +0 +0 +j0", out.getvalue(), re.M)
+
+
 # -- the terminal ----------------------------------------------------------------------------
 
 
@@ -265,11 +327,14 @@ def children_of(pid: int) -> list[int]:
     return [int(child) for child in children]
 
 
+OUTPUTS = Path(__file__).parents[1] / "config" / "outputs.yaml"
+
+
 @pytest.mark.parametrize(
-    ("name", "options"), [("raster_scan", []), ("jerk_limited", ["--two-processes"])]
+    ("name", "options"), [("raster_scan", ["--params", OUTPUTS]), ("jerk_limited", [])]
 )
 def test_the_demo_runs_an_example_within_its_limits(name, options, command, examples, tmp_path):
-    demo = command("demo", examples / f"{name}.yaml", *options)
+    demo = command("demo", examples / f"{name}.yaml", "--two-processes", *options)
     output, _ = demo.communicate()
     assert demo.returncode == 0, output
     joints = yaml.safe_load((examples / f"{name}.yaml").read_text())["joint_names"]
@@ -278,6 +343,8 @@ def test_the_demo_runs_an_example_within_its_limits(name, options, command, exam
     assert "everything within its limits" in output
     assert (tmp_path / f"demo_{name}.png").read_bytes().startswith(b"\x89PNG")
     assert "Traceback" not in output
+    if name == "raster_scan":  # 6 lines of 200 mm, a picture every millimetre
+        assert re.search(r"^camera +1200 +1200 ", output, re.M), output
 
 
 def test_a_refused_trajectory_ends_the_demo_with_the_reason(command, examples, tmp_path):

@@ -41,8 +41,12 @@ from epos2_ros.protocol.path import PathCommander, Placement
 from epos2_ros.protocol.profile_axes import IN_MOTION as IN_PROFILE_MOTION
 from epos2_ros.protocol.profile_axes import Phase as ProfilePhase
 from epos2_ros.protocol.timekeeper import HOST_NODE_ID
-from epos2_ros.sim.copley import Copley
-from epos2_ros.sim.realtime import RealtimeSimulator, build_drives, save_log
+from epos2_ros.sim.realtime import (
+    RealtimeSimulator,
+    build_copley_drives,
+    build_drives,
+    save_log,
+)
 
 T = TypeVar("T")
 
@@ -256,7 +260,7 @@ class Driver:
         """An output gets other parameters. ConfigurationError if it can't, or while axes move;
         DriveError if the drive refuses. It is then as before.
         """
-        if self._moving() or self._copley.protocol.phase in IN_PROFILE_MOTION:
+        if not self._reactor.call(self._standing):
             raise ConfigurationError(
                 f"compare.{config.name} can't change while the axes move, except for positions"
             )
@@ -383,6 +387,12 @@ class Driver:
 
     def _moving(self) -> bool:
         return self._reactor.call(lambda: self._group.phase in IN_MOTION)
+
+    def _standing(self) -> bool:
+        return (
+            self._group.phase in (Phase.DISABLED, Phase.STANDING, Phase.FAULT)
+            and self._copley.protocol.phase not in IN_PROFILE_MOTION
+        )
 
     def _wait_for(self, what: str, *requests: Callable[[], Future[None]]) -> None:
         """Make the requests, then wait for all of them."""
@@ -517,8 +527,14 @@ class Simulation:
             bitrate=config.bitrate,
             record=self._log is not None,
         )
+        sampled = {output.joint for output in config.outputs if output.extrapolated}
+        beside = build_copley_drives(
+            [axis.node_id for axis in copley],
+            drift_ppm=config.simulation.drift_ppm,
+            seed=config.simulation.seed,
+            extrapolated=[axis.node_id for axis in copley if axis.joint in sampled],
+        )
         self._bus = open_bus(config.interface, config.channel, config.bitrate, echoes=False)
-        beside = [Copley(axis.node_id, t_us=now_us()) for axis in copley]
         self._simulator = RealtimeSimulator(self._bus, [*self._drives, *beside])
         self._simulator.start()
 

@@ -25,6 +25,7 @@ class Scale:
 
     joint: str
     node_id: int
+    drive: str
     unit: str  # "rad" or "m"
     qc_per_unit: float
     offset: float  # [unit]
@@ -48,6 +49,7 @@ def scales(parameters: Mapping[str, Any]) -> list[Scale]:
             Scale(
                 joint=joint,
                 node_id=value("node_id", place),
+                drive=value("drive", "epos2"),
                 unit="m" if prismatic else "rad",
                 qc_per_unit=value("direction", 1) * value("counts_per_turn", 2000) * turns_per_unit,
                 offset=value("offset", 0.0),
@@ -84,6 +86,10 @@ class Commanded:
                 *(p1 - 2 * h * v1 / 5 + bend1, p1 - h * v1 / 5, p1),
             ]
         self._points = np.array(points)  # [degree + 1, pieces, joints]
+
+    @property
+    def duration_s(self) -> float:
+        return float(self._times[-1])
 
     def at(self, t_s: Array) -> Array:
         """Positions [unit] at times t_s [m] → [m, joints]."""

@@ -10,6 +10,7 @@ import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ import yaml
 
 from epos2_ros.demo.child import Child
 from epos2_ros.demo.commanded import Commanded, scales
+from epos2_ros.demo.outputs import OutputResult, outputs_of
 from epos2_ros.demo.report import Observed, Report
 from epos2_ros.demo.terminal import Terminal, bar
 from epos2_ros.demo.witness import DRIVER, Witness
@@ -91,15 +93,32 @@ def run(arguments: argparse.Namespace, terminal: Terminal) -> int:
             f"joints {', '.join(trajectory.joint_names)}"
         )
         terminal.line(f"drives as in {params.name}, ROS_DOMAIN_ID={machine.domain_id}")
-        observed = machine.run(trajectory, arguments.two_processes, terminal)
+        outputs = outputs_of(machine.parameters, trajectory.joint_names)
+        observed = machine.run(trajectory, outputs, arguments.two_processes, terminal)
+        commanded = Commanded(trajectory)
         report = Report.of(
-            Commanded(trajectory),
+            commanded,
             trajectory.joint_names,
             machine.scales,
             machine.log,
             observed,
             bitrate=machine.parameters.get("can.bitrate", 1_000_000),
             tolerance_qc=machine.parameters.get("ipm.tolerance", 1.0),
+        )
+        by_joint = {axis.scale.joint: axis for axis in report.axes}
+        report = replace(
+            report,
+            outputs=tuple(
+                OutputResult.of(
+                    name,
+                    machine.parameters,
+                    commanded,
+                    trajectory.joint_names,
+                    by_joint[machine.parameters[f"compare.{name}.joint"]],
+                    observed.events[name],
+                )
+                for name in outputs
+            ),
         )
     output = arguments.output or Path(f"demo_{file.stem}.png")
     report.print(terminal)
@@ -133,7 +152,13 @@ class Machine:
             "RCUTILS_COLORIZED_OUTPUT": "0",
         }
 
-    def run(self, trajectory: Trajectory, two_processes: bool, terminal: Terminal) -> Observed:
+    def run(
+        self,
+        trajectory: Trajectory,
+        outputs: Sequence[str],
+        two_processes: bool,
+        terminal: Terminal,
+    ) -> Observed:
         """Starts everything, runs the trajectory, and ends everything, so that the log is there."""
         with ExitStack() as children:
             if two_processes:
@@ -141,7 +166,7 @@ class Machine:
                 driver = children.enter_context(self._driver(self._slcan(simulator, terminal)))
             else:
                 driver = children.enter_context(self._driver({"simulation.log": str(self.log)}))
-            witness = children.enter_context(Witness(self.domain_id))
+            witness = children.enter_context(Witness(self.domain_id, outputs))
             units = {scale.joint: scale.unit for scale in self.scales}
             watch = Watch(driver, witness, units, terminal)
             watch.wait(lambda: witness.ready, READY_TIMEOUT_S, "the driver is not active")
@@ -161,16 +186,20 @@ class Machine:
         return Child("driver", arguments, self._env)
 
     def _simulator(self) -> Child:
-        counts = {self.parameters.get(f"axes.{s.joint}.counts_per_turn", 2000) for s in self.scales}
+        epos2 = [scale for scale in self.scales if scale.drive == "epos2"]
+        copley = [scale for scale in self.scales if scale.drive == "copley"]
+        counts = {self.parameters.get(f"axes.{s.joint}.counts_per_turn", 2000) for s in epos2}
         if len(counts) > 1:
             raise Epos2RosError("--two-processes needs the same counts_per_turn on every axis")
         arguments = {
-            "--nodes": ",".join(str(scale.node_id) for scale in self.scales),
+            "--nodes": ",".join(str(scale.node_id) for scale in epos2),
             "--counts-per-turn": str(counts.pop()),
             "--drift-ppm": str(self.parameters.get("simulation.drift_ppm", 0.0)),
             "--seed": str(self.parameters.get("simulation.seed", 0)),
             "--log": str(self.log),
         }
+        if copley:
+            arguments["--copley"] = ",".join(str(scale.node_id) for scale in copley)
         return Child("simulator", ["--slcan", *chain(*arguments.items())], self._env)
 
     def _slcan(self, simulator: Child, terminal: Terminal) -> dict[str, str]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from epos2_ros.demo.commanded import Array, Commanded, Scale
+from epos2_ros.demo.outputs import Event, OutputResult
 from epos2_ros.demo.terminal import Terminal
 from epos2_ros.errors import Epos2RosError
 
@@ -29,6 +30,7 @@ class Observed:
     buffer_errors: dict[str, str]  # flags in words, only of joints that had one
     sync_count: int
     bus_load: float  # highest during the motion [%]
+    events: Mapping[str, Sequence[Event]] = field(default_factory=dict)  # by output
 
 
 @dataclass(frozen=True)
@@ -121,6 +123,7 @@ class Report:
     axes: tuple[AxisResult, ...]
     observed: Observed
     bitrate: int
+    outputs: tuple[OutputResult, ...] = ()
 
     @classmethod
     def of(
@@ -170,7 +173,7 @@ class Report:
         found = [failure for axis in self.axes for failure in axis.failures()]
         if not self.spread_kept:
             found.append(f"start times {self.spread_us:.2f} µs apart, at most {MAX_SPREAD_US:g}")
-        return found
+        return found + [output.failure for output in self.outputs if output.failure]
 
     def print(self, terminal: Terminal) -> None:
         """The table and the group's figures."""
@@ -186,6 +189,7 @@ class Report:
             terminal.line(
                 f"{axis.scale.joint:{width}}  {axis.records_sent:12}  {path}  {buffer}  {final}"
             )
+        self._print_outputs(terminal)
         spread = terminal.judged(f"{self.spread_us:.2f} µs", self.spread_kept)
         terminal.line()
         terminal.line(
@@ -193,6 +197,22 @@ class Report:
             f"bus load {self.observed.bus_load:.1f} % at {self.bitrate / 1e6:g} Mbit/s"
         )
         terminal.line()
+
+    def _print_outputs(self, terminal: Terminal) -> None:
+        """Times are against the commanded curve; an axis that lags is late by so much."""
+        if not self.outputs:
+            return
+        width = max(len("output"), *(len(output.name) for output in self.outputs))
+        title = "events  expected  late [µs]  jitter [µs]  axis"
+        terminal.line()
+        terminal.line(terminal.bold(f"{'output':{width}}  {title}"))
+        for output in self.outputs:
+            late_us, jitter_us = output.late_us
+            told = terminal.judged(f"{len(output.told):6}", not output.failure)
+            terminal.line(
+                f"{output.name:{width}}  {told}  {len(output.expected):8}  {late_us:9.0f}  "
+                f"{jitter_us:11.0f}  {output.joint}"
+            )
 
     def plot(self, file: Path, title: str) -> None:
         """Commanded and executed position, error and buffer level over path time, as PNG."""

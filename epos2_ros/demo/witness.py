@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
+from functools import partial
 from math import inf
 from types import TracebackType
 from typing import Any
@@ -18,19 +20,21 @@ from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from epos2_ros.demo.outputs import Event
 from epos2_ros.demo.report import Observed
 from epos2_ros.motion.trajectory import Trajectory
 
 DRIVER = "epos2_driver"
 TOPICS = 3  # /joint_states, ~/buffer_status, /diagnostics
 ANSWER_TIMEOUT_S = 1.0
+EVENTS_KEPT = 1000  # of an output: they come in bursts
 QUIET_S = 0.5  # without "ip mode active" a motion counts as over
 
 
 class Witness:
     """The newest of every topic; `spin` brings in more."""
 
-    def __init__(self, domain_id: int) -> None:
+    def __init__(self, domain_id: int, outputs: Sequence[str] = ()) -> None:
         self.positions: dict[str, float] = {}
         self.buffers: dict[str, dict[str, str]] = {}  # by joint, the keys of ~/buffer_status
         self.messages: dict[str, int] = {}  # how many came, by topic
@@ -54,6 +58,11 @@ class Witness:
         self._publisher = self._node.create_publisher(
             JointTrajectory, f"/{DRIVER}/joint_trajectory", 1
         )
+        self._events: dict[str, list[Event]] = {name: [] for name in outputs}
+        for name in outputs:
+            self._node.create_subscription(
+                JointState, f"/{DRIVER}/compare/{name}", partial(self._on_output, name), EVENTS_KEPT
+            )
         self._states = self._node.create_client(GetState, f"/{DRIVER}/get_state")
         self._asked: Any = None
         self._asked_at = -inf
@@ -112,6 +121,8 @@ class Witness:
         """On `~/joint_trajectory`, to start now."""
         self._buffer_errors.clear()
         self._bus_load = 0.0
+        for events in self._events.values():
+            events.clear()
         fields = {
             "positions": trajectory.positions,
             "velocities": trajectory.velocities,
@@ -135,6 +146,7 @@ class Witness:
             buffer_errors=dict(self._buffer_errors),
             sync_count=self._sync_count,
             bus_load=self._bus_load,
+            events={name: tuple(events) for name, events in self._events.items()},
         )
 
     def _listen(self, kind: Any, topic: str, take: Any) -> None:
@@ -143,6 +155,11 @@ class Witness:
             self.messages[topic] = self.messages.get(topic, 0) + 1
 
         self._node.create_subscription(kind, topic, hear, 10)
+
+    def _on_output(self, name: str, message: JointState) -> None:
+        stamp_ns = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+        t_us = (stamp_ns + time.monotonic_ns() - time.time_ns()) / 1000
+        self._events[name].append(Event(t_us, message.position[0], message.velocity[0]))
 
     def _on_joint_states(self, message: JointState) -> None:
         self.positions = dict(zip(message.name, message.position, strict=True))

@@ -11,12 +11,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from epos2_ros.motion.crossings import Path
+from epos2_ros.motion.crossings import FloatArray, Path
 from epos2_ros.motion.record import Record
 
 MAX_DELAY_US = 20_000.0
-MAX_AGE_US = 2_000.0  # of what a drive says at a SYNC: two of its control cycles
+MAX_AGE_US = 100_000.0  # of what a drive says at a SYNC; most of it by hosts that see SYNC late
 MIN_SPEED_QC_S = 20_000.0  # below, times are not to be seen in whole counts
+_SEARCH_US = 1_000.0
 _NEAREST = 0.499
 
 
@@ -46,20 +47,33 @@ class Demand:
         return float(path.position_qc[0]), float(path.velocity_qc_s[0])
 
     def when(self, position_qc: int, near_us: float) -> float | None:
-        """The time close to `near_us` at which it was there; None where it is too slow to say."""
-        t_us = near_us
-        for _ in range(3):  # Newton's method
-            position, velocity = self.at(t_us)
-            if abs(velocity) < MIN_SPEED_QC_S:
-                return None
-            t_us += (position_qc - position) / velocity * 1e6
-        return float(np.clip(t_us, near_us - MAX_AGE_US, near_us + MAX_AGE_US))
+        """The time nearest to `near_us` at which it was there; None where that is not clear."""
+        now_qc, velocity = self.at(near_us)
+        slow = abs(velocity) < MIN_SPEED_QC_S
+        if slow and abs(now_qc - position_qc) <= 1:
+            return None
+        times = near_us + np.arange(-MAX_AGE_US, MAX_AGE_US + _SEARCH_US, _SEARCH_US)
+        off = self._evaluate(times)[0] - position_qc
+        passed = np.flatnonzero((off[:-1] <= 0) != (off[1:] <= 0))
+        if not len(passed):
+            return None
+        i = passed[np.argmin(np.abs(times[passed] - near_us))]
+        t_us = float(times[i] - off[i] / (off[i + 1] - off[i]) * _SEARCH_US)
+        position, velocity = self.at(t_us)
+        if abs(velocity) < MIN_SPEED_QC_S:
+            return t_us
+        return t_us + (position_qc - position) / velocity * 1e6
 
     def between(self, begin_us: float, end_us: float) -> Path:
         """This part of it: its knots inside, and both ends."""
         t = np.array(self._t_us)
         inside = t[(t > begin_us) & (t < end_us)]
         times = np.unique(np.concatenate([[begin_us], inside, [end_us]]))
+        return Path(times, *self._evaluate(times))
+
+    def _evaluate(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Positions [qc] and velocities [qc/s]."""
+        t = np.array(self._t_us)
         i = np.clip(np.searchsorted(t, times, side="right") - 1, 0, max(len(t) - 2, 0))
         j = np.minimum(i + 1, len(t) - 1)
         p, v = np.array(self._position), np.array(self._velocity)
@@ -77,7 +91,7 @@ class Demand:
             + 2 * u * (3 * (p[j] - p[i]) / h - (2 * v[i] + v[j]))
             + 3 * u**2 * (2 * (p[i] - p[j]) / h + v[i] + v[j])
         )
-        return Path(times, position, np.where(moving, velocity, 0.0))
+        return position, np.where(moving, velocity, 0.0)
 
     def forget(self, before_us: float) -> None:
         """Drop what is not needed any more."""
@@ -102,8 +116,10 @@ class ExecutedPath:
         `demand` is what it was to do in between, if that is known.
         """
         since_us, before, speed = self._t_us, self._position, self._velocity
+        if since_us is not None and t_us <= since_us:
+            return None
         self._t_us, self._position, self._velocity = t_us, float(position_qc), velocity_qc_s
-        if since_us is None or t_us <= since_us:
+        if since_us is None:
             return None
         if demand is None:
             ends = np.array([before, self._position])

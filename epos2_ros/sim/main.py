@@ -1,4 +1,4 @@
-"""The program `simulator`: simulated EPOS2 drives on any python-can bus, until told to stop."""
+"""The program `simulator`: simulated drives on any python-can bus, until told to stop."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import can
 from epos2_ros.arguments import without_ros_arguments
 from epos2_ros.errors import ConfigurationError, Epos2RosError
 
-from .realtime import RealtimeSimulator, build_drives, save_log
+from .realtime import RealtimeSimulator, build_copley_drives, build_drives, save_log
 from .slcan import SlcanAdapter
 
 BITRATES = (10_000, 20_000, 50_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)  # CiA 301
@@ -65,7 +65,13 @@ def _arguments(argv: list[str]) -> argparse.Namespace:
         "--slcan", action="store_true", help="be an slcan adapter on a pseudo-terminal instead"
     )
     parser.add_argument(
-        "--nodes", type=node_list, default=node_list("1-6"), help="node ids, e.g. 1-6 or 1,2,7"
+        "--nodes",
+        type=node_list,
+        default=node_list("1-6"),
+        help="node ids of EPOS2 drives, e.g. 1-6 or 1,2,7",
+    )
+    parser.add_argument(
+        "--copley", type=node_list, default=[], metavar="NODES", help="node ids of Copley drives"
     )
     parser.add_argument("--bitrate", type=int, choices=BITRATES, default=1_000_000)
     parser.add_argument(
@@ -81,6 +87,8 @@ def _arguments(argv: list[str]) -> argparse.Namespace:
     arguments = parser.parse_args(without_ros_arguments(argv))
     if not arguments.slcan and arguments.channel is None:
         parser.error("--channel is needed (or --slcan)")
+    if twice := set(arguments.nodes) & set(arguments.copley):
+        parser.error(f"--copley {min(twice)}: an EPOS2 drive has this node id (--nodes)")
     if arguments.log is not None and arguments.log.suffix != ".npz":
         parser.error(f"--log {arguments.log}: must end in .npz")
     if arguments.log is not None and not os.access(arguments.log.parent, os.W_OK):
@@ -105,6 +113,15 @@ def _open_bus(arguments: argparse.Namespace) -> can.BusABC:
         ) from error
 
 
+def _described(arguments: argparse.Namespace) -> str:
+    families = {"EPOS2": arguments.nodes, "Copley": arguments.copley}
+    return " and ".join(
+        f"{family} drives, nodes {', '.join(map(str, nodes))}"
+        for family, nodes in families.items()
+        if nodes
+    )
+
+
 def main(argv: list[str] | None = None) -> int:
     """Runs until SIGINT or SIGTERM. Returns 0, or 2 after one line about wrong arguments."""
     try:
@@ -124,13 +141,13 @@ def main(argv: list[str] | None = None) -> int:
         bitrate=arguments.bitrate,
         record=arguments.log is not None,
     )
-    simulator = RealtimeSimulator(bus, drives)
+    copley = build_copley_drives(arguments.copley, drift_ppm=arguments.drift_ppm)
+    simulator = RealtimeSimulator(bus, [*drives, *copley])
     simulator.start()
-    nodes = ", ".join(str(node) for node in arguments.nodes)
     where = f"{arguments.interface} {arguments.channel}"
     if isinstance(bus, SlcanAdapter):
         where = f"the slcan adapter {bus.path}"
-    print(f"simulated EPOS2 drives, nodes {nodes}, on {where}", flush=True)
+    print(f"simulated {_described(arguments)}, on {where}", flush=True)
     stop.wait()
     simulator.stop()
     bus.shutdown()

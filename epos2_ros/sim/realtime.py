@@ -12,11 +12,12 @@ import random
 import threading
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import can
 
+from .copley import Copley
 from .epos2 import Epos2
 from .recorder import save
 from .slave import Slave
@@ -74,6 +75,27 @@ def build_drives(
             t_us=now_us(),
         )
         for node_id, counts in zip(node_ids, counts_per_turn, strict=True)
+    ]
+
+
+def build_copley_drives(
+    node_ids: Sequence[int],
+    *,
+    drift_ppm: float = 0.0,
+    seed: int = 0,
+    extrapolated: Collection[int] = (),
+) -> list[Copley]:
+    """Likewise; the encoders of `extrapolated` nodes are sampled once a loop, not quadrature."""
+    rng = random.Random(f"copley {seed}")
+    return [
+        Copley(
+            node_id,
+            quadrature=node_id not in extrapolated,
+            drift_ppm=rng.uniform(-drift_ppm, drift_ppm),
+            serial=node_id,
+            t_us=now_us(),
+        )
+        for node_id in node_ids
     ]
 
 
