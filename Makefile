@@ -10,10 +10,11 @@ SOURCES := $(shell find epos2_ros config examples launch resource scripts -type 
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 export ROS_DOMAIN_ID ?= 42
 
-.PHONY: help demo test lint clean
+.PHONY: help demo test bench lint clean
 help:
 	@echo "make demo   six simulated axes run a trajectory: ARGS=examples/raster_scan.yaml"
 	@echo "make test   all tests: ARGS='-k eds'"
+	@echo "make bench  the tables of docs/motion.md: ARGS='frames speed'"
 	@echo "make lint   ruff and mypy"
 	@echo "make clean  remove what make and Python left here, .venv included"
 
@@ -22,6 +23,9 @@ demo: $(VENV)/.package
 
 test: $(VENV)/.package $(VENV)/.tools
 	$(VENV)/bin/python -m pytest $(ARGS)
+
+bench: $(VENV)/.package $(VENV)/.bench
+	$(VENV)/bin/python -m benchmarks $(ARGS)
 
 lint: $(VENV)/.tools
 	$(VENV)/bin/ruff check .
@@ -45,6 +49,11 @@ $(VENV)/.package: $(VENV)/.interpreter $(SOURCES)
 $(VENV)/.tools: setup.py | $(VENV)/.package
 	@echo "installing the test tools into $(VENV)"
 	@$(PIP) install -qq '.[test]'
+	@touch $@
+
+$(VENV)/.bench: setup.py | $(VENV)/.package
+	@echo "installing what the benchmarks need into $(VENV)"
+	@$(PIP) install -qq '.[bench]'
 	@touch $@
 
 # The first interpreter that really runs (a pyenv shim may not), is 3.10 … 3.12 and can make a venv.

@@ -7,6 +7,8 @@ from setuptools import find_packages, setup
 NAME = "epos2_ros"
 SHARE = f"share/{NAME}"
 
+PLANNERS = ["ruckig", "toppra"]  # for fresh trajectories
+
 setup(
     name=NAME,
     version="0.1.0",
@@ -36,13 +38,15 @@ setup(
     extras_require={
         # ROS 2 Jazzy from PyPI, for a machine without a ROS installation
         "ros": ["ros-jazzy-common-interfaces", "ros-jazzy-rclpy", "ros-jazzy-rmw-fastrtps-cpp"],
+        "bench": ["numba", *PLANNERS],
         "test": [
             "colcon-common-extensions",
             "hypothesis",
             "mypy",
+            "numba",
             "pytest",
             "pytest-timeout",
-            "ruckig",
+            *PLANNERS,
             "ruff",
             "setuptools>=70.1",  # builds wheels by itself
             "types-PyYAML",

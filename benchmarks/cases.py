@@ -1,0 +1,114 @@
+"""What the tables are about: the example trajectories, and fresh ones from two planners."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from planners import from_ruckig, from_toppra
+
+from epos2_ros.bus.settings import axis_setup
+from epos2_ros.config import AxisConfig
+from epos2_ros.files import read_parameters, read_trajectory, share, shipped_parameters
+from epos2_ros.motion.fit import Fitter
+from epos2_ros.motion.join import join
+from epos2_ros.motion.limits import Limits
+from epos2_ros.motion.record import MAX_SEGMENT_MS, Record
+from epos2_ros.motion.reference import Reference
+from epos2_ros.motion.trajectory import Trajectory
+from epos2_ros.motion.units import AxisUnits
+from epos2_ros.parameters import DriverParameters
+
+EXAMPLES = ("pick_place", "jerk_limited", "positions_only", "raster_scan")
+GEAR_RATIO = 100.0  # of planned trajectories' axes, as in config/arm.yaml
+
+
+@dataclass(frozen=True)
+class Case:
+    """A trajectory and the axes that run it from rest, as the driver would."""
+
+    name: str
+    trajectory: Trajectory
+    configs: tuple[AxisConfig, ...]
+
+    @cached_property
+    def units(self) -> tuple[AxisUnits, ...]:
+        return tuple(AxisUnits.of(axis) for axis in self.configs)
+
+    @cached_property
+    def start_qc(self) -> list[int]:
+        """Where the drives stand; whole counts."""
+        places = zip(self.units, self.trajectory.positions[0].tolist(), strict=True)
+        return [round(units.to_qc(place)) for units, place in places]
+
+    @cached_property
+    def reference(self) -> Reference:
+        """From where the drives stand onto the trajectory and along it."""
+        stand = zip(self.units, self.start_qc, strict=True)
+        rest = Reference.at_rest(self.units, [units.from_qc(float(qc)) for units, qc in stand])
+        return join(rest, self.trajectory, Limits.of(self.configs), at_ms=0, start_ms=0)
+
+    @property
+    def seconds(self) -> float:
+        return self.reference.end_ms / 1000
+
+    @cached_property
+    def commanded(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Position [qc] and velocity [qc/s] at k = 0 … end [ms], each [end + 1, axes]."""
+        k = np.arange(self.reference.end_ms + 1)
+        return self.reference.positions(k), self.reference.velocities(k)
+
+    def records(self, tolerance_qc: float, smoothness: float = 0.0) -> list[list[Record]]:
+        """What the driver sends to each axis, the record that ends the motion included."""
+        return fit(self.fitter(tolerance_qc, smoothness), self.reference, self.start_qc)
+
+    def fitter(self, tolerance_qc: float, smoothness: float = 0.0) -> Fitter:
+        fits = [axis_setup(axis).fit for axis in self.configs]
+        return Fitter(fits, tolerance_qc, MAX_SEGMENT_MS, smoothness=smoothness)
+
+
+def fit(
+    fitter: Fitter, reference: Reference, start_qc: Sequence[int], until_ms: float = math.inf
+) -> list[list[Record]]:
+    """The records of a motion, the axes served in the order in which theirs run out."""
+    fitter.begin(reference, start_qc)
+    records: list[list[Record]] = [[] for _ in start_qc]
+    active = set(range(len(start_qc)))
+    while active:
+        axis = min(active, key=fitter.committed_ms)
+        record = fitter.next(axis) if fitter.committed_ms(axis) < until_ms else None
+        if record is None:
+            active.remove(axis)
+        else:
+            records[axis].append(record)
+    return records
+
+
+def example(name: str) -> Case:
+    """One of examples/*.yaml, on the axes of the shipped parameter file with its joints."""
+    trajectory = read_trajectory(share() / "examples" / f"{name}.yaml")
+    file = shipped_parameters(trajectory.joint_names)
+    if file is None:
+        raise ValueError(f"no parameters are shipped for the joints of {name}")
+    by_joint = {axis.joint: axis for axis in DriverParameters(read_parameters(file)).config().axes}
+    return Case(name, trajectory, tuple(by_joint[joint] for joint in trajectory.joint_names))
+
+
+def planned(name: str, trajectory: Trajectory) -> Case:
+    axes = (
+        AxisConfig(joint, node_id, gear_ratio=GEAR_RATIO)
+        for node_id, joint in enumerate(trajectory.joint_names, start=1)
+    )
+    return Case(name, trajectory, tuple(axes))
+
+
+def all_cases(seeds: Sequence[int]) -> list[Case]:
+    return [
+        *map(example, EXAMPLES),
+        *(planned(f"Ruckig, seed {seed}", from_ruckig(seed)) for seed in seeds),
+        *(planned(f"TOPP-RA, seed {seed}", from_toppra(seed)) for seed in seeds),
+    ]

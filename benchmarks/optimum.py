@@ -1,0 +1,38 @@
+"""How far our number of records is from the fewest there can be (exhaustive search)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+
+from .cases import Case
+from .search import fewest
+from .table import Table
+
+TOLERANCE_QC = 1.0
+NOTES = "records of all axes, the ones that end the motions included; segments of 1 … 255 ms"
+
+
+def tables(cases: Sequence[Case]) -> Iterator[Table]:
+    """One row per trajectory; axes are searched side by side, in a process for each core."""
+    rows = []
+    with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
+        for case in cases:
+            units = [units.velocity_unit_qc_s for units in case.units]
+            positions, velocities = (values.T for values in case.commanded)
+            best = pool.map(fewest, positions, velocities, units, [TOLERANCE_QC] * len(units))
+            ours = [len(records) for records in case.records(TOLERANCE_QC)]
+            optimum = list(best)
+            rows.append(
+                {
+                    "trajectory": case.name,
+                    "ours": sum(ours),
+                    "optimum": sum(optimum),
+                    "more [%]": 100 * (sum(ours) / sum(optimum) - 1),
+                    "worst axis [%]": max(
+                        100 * (n / least - 1) for n, least in zip(ours, optimum, strict=True)
+                    ),
+                }
+            )
+    yield Table(f"Records at {TOLERANCE_QC:g} qc against the true optimum", rows, NOTES)
