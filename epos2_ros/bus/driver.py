@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures import TimeoutError as FutureTimeoutError
 from dataclasses import dataclass, replace
@@ -19,6 +19,7 @@ import numpy as np
 
 from epos2_ros.bus.bringup import Epos2Node
 from epos2_ros.bus.copley_axes import CopleyAxes
+from epos2_ros.bus.health import BusState, Health
 from epos2_ros.bus.link import Link, open_bus
 from epos2_ros.bus.output_service import OutputService
 from epos2_ros.bus.reactor import Reactor
@@ -91,6 +92,9 @@ class Snapshot:
     dropped_frames: int
     error_frames: int
     refused_frames: int
+    bus_state: str = BusState.ACTIVE.value  # of the CAN controller, as far as it tells
+    transmit_errors: int = 0  # the controller's counters
+    receive_errors: int = 0
 
 
 class Driver:
@@ -114,6 +118,7 @@ class Driver:
         self._simulation: Simulation | None = None
         self._link: Link | None = None
         self._nodes: list[Epos2Node] = []
+        self._brought_up = False  # all drives, since the link was opened
         self._group = Group([axis_setup(axis) for axis in config.axes], group_settings(config))
         self._path = PathCommander(self._group, config)
         self._worker = Worker()
@@ -165,19 +170,17 @@ class Driver:
             self._simulation = Simulation(self._config, self._copley.configs)
         self._reactor.start()
         self._open()
-        for index in range(len(self._nodes)):
-            self._worker.run(partial(self._bring_up, index))
-        for index in range(len(self._copley.nodes)):
-            self._worker.run(partial(self._bring_up_copley, index))
-        self._reactor.call(self._start_clock)
+        self._bring_up(range(len(self._nodes)), range(len(self._copley.nodes)))
 
     def _open(self) -> None:
         config = self._config
+        self._brought_up = False
         self._link = Link(
             config.interface,
             config.channel,
             config.bitrate,
             self._on_frame,
+            self._group.fail,
             self._on_failure,
             self._reactor.post,
         )
@@ -189,12 +192,20 @@ class Driver:
         nodes |= {node.settings.joint: node.node for node in self._copley.nodes}
         self._outputs.open(nodes)
 
+    def _bring_up(self, indices: Iterable[int], copley: Iterable[int]) -> None:
+        for index in indices:
+            self._worker.run(partial(self._bring_up_epos2, index))
+        for index in copley:
+            self._worker.run(partial(self._bring_up_copley, index))
+        self._reactor.call(self._start_clock)
+        self._brought_up = True
+
     def _start_clock(self) -> None:
         now = now_us()
         self._group.start_clock(now, time_of_day(time.time()))
         self._copley.protocol.start_watch(now)
 
-    def _bring_up(self, index: int) -> None:
+    def _bring_up_epos2(self, index: int) -> None:
         statusword = self._nodes[index].configure()
         self._reactor.call(lambda: self._group.reconfigured(index, statusword, now_us()))
         self._outputs.arm(self._nodes[index].settings.joint)
@@ -291,17 +302,13 @@ class Driver:
         """
         lost = self._reactor.call(self._group.lost_axes)
         lost_copley = self._reactor.call(self._copley.protocol.lost_axes)
-        if self._link is not None and self._link.failed:
+        if self._link is not None and (self._link.failed or not self._brought_up):
             self._link.close()
             self._open()
             lost = list(range(len(self._nodes)))
             lost_copley = list(range(len(self._copley.nodes)))
-        for index in lost:
-            self._worker.run(partial(self._bring_up, index))
-        for index in lost_copley:
-            self._worker.run(partial(self._bring_up_copley, index))
         if lost or lost_copley:
-            self._reactor.call(self._start_clock)
+            self._bring_up(lost, lost_copley)
         resets = self._group.reset_fault, self._copley.protocol.reset_fault
         self._wait_for("reset fault", *resets)
 
@@ -316,6 +323,7 @@ class Driver:
         if self._group.phase not in IN_MOTION:
             path_ms = math.inf
         link = self._link
+        health = link.health if link else Health()
         axes = [self._axis_snapshot(index, path_ms) for index in range(len(self._units))]
         by_joint = {axis.joint: axis for axis in [*axes, *self._copley_snapshots()]}
         return Snapshot(
@@ -326,8 +334,11 @@ class Driver:
             sync_count=self._group.time.sync_count,
             sync_time_source=link.time_source if link else "",
             dropped_frames=link.dropped if link else 0,
-            error_frames=link.error_frames if link else 0,
+            error_frames=health.error_frames,
             refused_frames=link.refused if link else 0,
+            bus_state=health.state.value,
+            transmit_errors=health.transmit_errors,
+            receive_errors=health.receive_errors,
         )
 
     def _axis_snapshot(self, index: int, path_ms: float | None) -> AxisSnapshot:
@@ -410,9 +421,6 @@ class Driver:
         self._group.receive(frame, t_us, echo)
         self._copley.receive(frame, t_us, echo)
         self._outputs.receive(frame, t_us, echo)
-        now = now_us()
-        self._group.advance(now)
-        self._copley.advance(now)
         self._flush()
 
     def _on_failure(self, text: str) -> None:
@@ -424,11 +432,6 @@ class Driver:
         link = self._link
         if link is not None:
             link.pump()
-            if link.stalled:
-                self._on_failure(
-                    f"{link.name} no longer puts frames on the bus: check the cable, its "
-                    "termination and whether any drive is powered"
-                )
         now = now_us()
         self._path.advance(now)
         self._group.advance(now)

@@ -11,11 +11,13 @@ import logging
 import threading
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import can
 import canopen
 
+from epos2_ros.bus.health import BusState, Health
 from epos2_ros.bus.timestamps import ReceiveClock, now_us
 from epos2_ros.bus.transmitter import Transmitter, worst_case_bits
 from epos2_ros.errors import BusError
@@ -45,8 +47,9 @@ class Link:
     """An open CAN interface.
 
     `on_frame(frame, t_us, echo)` is called for every frame on the bus, our own included
-    (`echo`), `on_failure(text)` when the interface stops working; both by `post`, which runs a
-    job in the thread that owns this object, as everything but `network` has to be.
+    (`echo`); `on_disturbance(text)` when the bus gets bad; `on_failure(text)`, once, when nothing
+    gets through any more: then open a new link. All by `post`, which runs a job in the thread
+    that owns this object, as everything but `network` has to be.
     """
 
     def __init__(
@@ -55,25 +58,28 @@ class Link:
         channel: str,
         bitrate: int,
         on_frame: OnFrame,
+        on_disturbance: Callable[[str], None],
         on_failure: Callable[[str], None],
         post: Callable[[Callable[[], None]], None],
     ) -> None:
         self.name = f"{interface}:{channel}"
         self.clock = ReceiveClock()
         self.network = Network(lambda frame: post(lambda: self.send(frame)))
-        self.error_frames = 0
+        self.health = Health()
+        self.failed = False
         self._post = post
         self._on_frame = on_frame
+        self._on_disturbance = on_disturbance
         self._on_failure = on_failure
         self._bitrate = bitrate
         self._echo_seen = threading.Event()
+        self._heard_us = now_us()  # up to when the bus was listened to
         self._traffic: deque[tuple[float, int]] = deque()
         self._bits = 0
         self._bus = open_bus(interface, channel, bitrate)
         # Until the probe has shown an echo, frames count as sent when their time is over.
         self._transmitter = Transmitter(self._hand_over, bitrate, echoes=False)
         self._closing = False
-        self.failed = False  # the interface itself stopped working: open a new one
         self._receiver = threading.Thread(target=self._receive, name="CAN receiver", daemon=True)
         self._receiver.start()
         try:
@@ -92,23 +98,24 @@ class Link:
 
     def send(self, frame: Frame) -> None:
         """Queue a frame and send what may be sent."""
-        self._transmitter.push(frame)
-        self.pump()
+        if not self.failed:
+            self._transmitter.push(frame)
+            self.pump()
 
     def pump(self) -> None:
         """Send what may be sent now; call again at `deadline_us`."""
-        for frame, t_us in self._transmitter.pump(now_us()):
+        for frame, t_us in self._transmitter.pump(now_us(), self._heard_us):
             self._count(frame, t_us)
             self._on_frame(frame, t_us, True)
+        if self._transmitter.stalled:
+            self._fail(
+                "no longer puts frames on the bus: check the cable, its termination and whether "
+                "any drive is powered"
+            )
 
     @property
     def deadline_us(self) -> float:
         return self._transmitter.deadline_us
-
-    @property
-    def stalled(self) -> bool:
-        """Whether frames handed to the adapter no longer appear on the bus."""
-        return self._transmitter.stalled
 
     @property
     def dropped(self) -> int:
@@ -132,46 +139,64 @@ class Link:
         try:
             self._bus.send(message)
         except can.CanOperationError as error:
-            if error.error_code in _QUEUE_FULL or "buffer full" in str(error).lower():
-                return False
-            self._fail(f"can't send: {error}")
+            if error.error_code not in _QUEUE_FULL and "buffer full" not in str(error).lower():
+                self._post(partial(self._fail, f"can't send: {error}"))
             return False
         return True
 
     def _fail(self, text: str) -> None:
-        self.failed = True
-        self._post(lambda: self._on_failure(f"{self.name} {text}"))
+        if not self.failed:
+            self.failed = True
+            self._transmitter.reset()  # stale frames would be sent when the bus is back
+            self._on_failure(f"{self.name} {text}")
 
     # ------------------------------------------------------------------ in
 
     def _receive(self) -> None:
         while not self._closing:
+            began_us = now_us()
             try:
                 message = self._bus.recv(RECEIVE_TIMEOUT_S)
             except (can.CanError, OSError) as error:
                 if not self._closing:
-                    self._fail(f"can't receive: {error}")
+                    self._post(partial(self._fail, f"can't receive: {error}"))
                 return
             if message is not None:
                 self._on_message(message)
+            else:
+                self._post(partial(self._nothing_until, began_us))
 
     def _on_message(self, message: can.Message) -> None:
         if message.is_error_frame:
-            self.error_frames += 1
+            self._post(partial(self._take_error, message.arbitration_id, bytes(message.data)))
         elif not (message.is_remote_frame or message.is_extended_id):
             frame = Frame(message.arbitration_id, bytes(message.data))
             if frame == ENTER_PRE_OPERATIONAL:  # ours: there is one NMT master
                 self._echo_seen.set()
             t_us = self.clock.host_us(message.timestamp)
-            self._post(lambda: self._take_in(frame, t_us))
+            self._post(partial(self._take_in, frame, t_us))
+
+    def _nothing_until(self, t_us: float) -> None:
+        self._heard_us = max(self._heard_us, t_us)
 
     def _take_in(self, frame: Frame, t_us: float) -> None:
+        self._heard_us = max(self._heard_us, t_us)
         self._count(frame, t_us)
         echo = self._transmitter.echoes and self._transmitter.on_echo(frame)
         self._on_frame(frame, t_us, echo)
         self.pump()
         if not echo:
             self.network.notify(frame.can_id, bytearray(frame.data), t_us / 1e6)
+
+    def _take_error(self, classes: int, data: bytes) -> None:
+        self.health.on_error_frame(classes, data)
+        if self.health.state is BusState.OFF:
+            self._fail("is bus off: check cable, termination and can.bitrate")
+        elif self.health.state is BusState.PASSIVE:
+            self._on_disturbance(
+                f"{self.name} is error passive: frames are disturbed or nobody acknowledges them; "
+                "check cable, termination and can.bitrate"
+            )
 
     # ------------------------------------------------------------------ state
 
@@ -189,9 +214,10 @@ class Link:
 
     def close(self) -> None:
         """Stop receiving and close the interface."""
-        self._closing = True
-        self._receiver.join()
-        self._bus.shutdown()
+        if not self._closing:
+            self.failed = self._closing = True
+            self._receiver.join()
+            self._bus.shutdown()
 
 
 def open_bus(interface: str, channel: str, bitrate: int, echoes: bool = True) -> can.BusABC:

@@ -1,7 +1,7 @@
 """One thread that owns all state; everything else hands it jobs.
 
-Jobs run in the order in which they come, so no thread can starve another by holding a lock, and
-what is due by the clock runs between them.
+Jobs run in the order in which they come, so no thread can starve another by holding a lock. What
+is due by the clock runs after those that have come meanwhile: it sees all that is known by then.
 """
 
 from __future__ import annotations
@@ -68,8 +68,8 @@ class Reactor:
             wait_s = (self._step() - now_us()) / 1e6
             try:
                 job = self._inbox.get(timeout=max(0.0, wait_s))
-                while True:
-                    job()
-                    job = self._inbox.get_nowait()
             except queue.Empty:
-                pass
+                continue
+            job()
+            for _ in range(self._inbox.qsize()):
+                self._inbox.get_nowait()()

@@ -7,9 +7,13 @@ clock (SocketCAN's kernel stamps, `virtual`, `udp_multicast`) or with a clock of
 
 from __future__ import annotations
 
+import math
 import time
 
-WALL_CLOCK_TOLERANCE_S = 5.0
+WALL_CLOCK_TOLERANCE_US = 5e6
+REREAD_US = 100_000.0  # both clocks are slewed alike: only a step of the wall clock parts them
+UNDISTURBED_US = 5.0  # reading a clock before and after another takes less
+READINGS = 10
 
 
 def now_us() -> float:
@@ -18,8 +22,17 @@ def now_us() -> float:
 
 
 def wall_offset_us() -> float:
-    """Host time minus wall clock [µs], read now."""
-    return time.monotonic_ns() / 1000 - time.time_ns() / 1000
+    """Host time minus wall clock [µs], both read now with nothing in between."""
+    best_ns, offset_ns = 1 << 62, 0
+    for _ in range(READINGS):
+        before = time.monotonic_ns()
+        wall = time.time_ns()
+        taken = time.monotonic_ns() - before
+        if taken < best_ns:
+            best_ns, offset_ns = taken, before + taken // 2 - wall
+        if taken < 1000 * UNDISTURBED_US:
+            break
+    return offset_ns / 1000
 
 
 class ReceiveClock:
@@ -28,6 +41,8 @@ class ReceiveClock:
     def __init__(self) -> None:
         self.source = "estimate: time of the send call and frame length"
         self._offset_us: float | None = None  # host time minus the adapter's own clock
+        self._wall_offset_us = 0.0  # host time minus wall clock …
+        self._read_us = -math.inf  # … when it was last read
 
     def host_us(self, stamp_s: float) -> float:
         """When a frame stamped `stamp_s` [s] by the adapter was on the bus, in host time [µs]."""
@@ -35,9 +50,12 @@ class ReceiveClock:
         if not stamp_s:
             self.source = "time of reception"
             return now
-        if abs(stamp_s - time.time()) < WALL_CLOCK_TOLERANCE_S:
+        if now > self._read_us + REREAD_US:
+            self._wall_offset_us, self._read_us = wall_offset_us(), now
+        on_bus = stamp_s * 1e6 + self._wall_offset_us
+        if abs(on_bus - now) < WALL_CLOCK_TOLERANCE_US:
             self.source = "system clock of the adapter's driver"
-            return min(now, stamp_s * 1e6 + wall_offset_us())
+            return min(now, on_bus)
         # A clock of its own: a frame is never seen before it was stamped, so the smallest delay
         # seen is the best estimate of where that clock's zero is.
         self.source = "hardware clock of the adapter"

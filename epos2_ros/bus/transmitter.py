@@ -13,12 +13,14 @@ import math
 from collections import deque
 from collections.abc import Callable
 from enum import IntEnum
+from typing import NamedTuple
 
 from epos2_ros.protocol import epos2
 from epos2_ros.protocol.frame import Frame
 
 MAX_IN_FLIGHT = 3  # handed over, not yet on the bus: bounds how long a SYNC waits
 ECHO_TIMEOUT_US = 500_000.0
+LOOK_AGAIN_US = 20_000.0  # when an echo is overdue and the bus was not yet listened to so far
 
 
 def worst_case_bits(data_bytes: int) -> int:
@@ -43,6 +45,14 @@ def lane_of(can_id: int) -> Lane:
     return Lane.SERVICE if function == 0x600 else Lane.URGENT
 
 
+class _Sent(NamedTuple):
+    """A frame handed over."""
+
+    frame: Frame
+    due_us: float  # when it should be through, by its length and those before it
+    echoes: int  # how many had been seen until then
+
+
 class Transmitter:
     """Paces frames into an adapter.
 
@@ -54,12 +64,13 @@ class Transmitter:
         self.echoes = echoes
         self.deadline_us = math.inf  # when `pump` is wanted next
         self.refused = 0  # times the adapter's queue was full
-        self.dropped = 0  # frames whose echo never came
+        self.dropped = 0  # frames of which no echo was seen
         self.stalled = False  # the adapter has stopped putting frames on the bus
         self._send = send
         self._us_per_bit = 1e6 / bitrate
         self._lanes: tuple[deque[Frame], ...] = tuple(deque() for _ in Lane)
-        self._in_flight: deque[tuple[Frame, float]] = deque()  # and when it should be through
+        self._in_flight: deque[_Sent] = deque()  # handed over, not yet seen on the bus
+        self._echoes_seen = 0
         self._retry_us = -math.inf
 
     def push(self, frame: Frame) -> None:
@@ -73,20 +84,20 @@ class Transmitter:
 
     def on_echo(self, frame: Frame) -> bool:
         """One of our frames came back from the bus; False if it is not one of those sent."""
-        for position, (sent, _) in enumerate(self._in_flight):
-            if sent == frame:
+        for position, sent in enumerate(self._in_flight):
+            if sent.frame == frame:
                 del self._in_flight[position]
-                self.stalled = False
+                self._echoes_seen += 1
                 return True
         return False
 
-    def pump(self, now_us: float) -> list[tuple[Frame, float]]:
-        """Send what may be sent now.
+    def pump(self, now_us: float, heard_us: float | None = None) -> list[tuple[Frame, float]]:
+        """Send what may be sent now; `heard_us` is up to when the bus was listened to (None: now).
 
-        Returns, for adapters without echo, the frames that are through by now and the time at
-        which each, by its length and those before it, was on the bus.
+        Returns frames that are through by now though no echo told, and the time at which each,
+        by its length and those before it, was on the bus: all frames, for adapters without echo.
         """
-        through = self._settle(now_us)
+        through = self._settle(now_us, now_us if heard_us is None else heard_us)
         while len(self._in_flight) < MAX_IN_FLIGHT and now_us >= self._retry_us:
             lane = next((lane for lane in self._lanes if lane), None)
             if lane is None:
@@ -96,8 +107,9 @@ class Transmitter:
                 self._retry_us = now_us + self._duration_us(lane[0])
                 break
             frame = lane.popleft()
-            before = self._in_flight[-1][1] if self._in_flight else now_us
-            self._in_flight.append((frame, max(before, now_us) + self._duration_us(frame)))
+            before_us = self._in_flight[-1].due_us if self._in_flight else now_us
+            due_us = max(before_us, now_us) + self._duration_us(frame)
+            self._in_flight.append(_Sent(frame, due_us, self._echoes_seen))
         self.deadline_us = self._next_us(now_us)
         return through
 
@@ -111,22 +123,29 @@ class Transmitter:
     def _duration_us(self, frame: Frame) -> float:
         return worst_case_bits(len(frame.data)) * self._us_per_bit
 
-    def _settle(self, now_us: float) -> list[tuple[Frame, float]]:
+    def _settle(self, now_us: float, heard_us: float) -> list[tuple[Frame, float]]:
         through = []
-        allowance = ECHO_TIMEOUT_US if self.echoes else 0.0
-        while self._in_flight and self._in_flight[0][1] + allowance <= now_us:
-            frame, due_us = self._in_flight.popleft()
-            if self.echoes:
-                self.dropped += 1
-                self.stalled = True
+        while self._in_flight:
+            sent = self._in_flight[0]
+            if self.echoes and sent.due_us + ECHO_TIMEOUT_US > heard_us:
+                break
+            if not self.echoes and sent.due_us > now_us:
+                break
+            self._in_flight.popleft()
+            self.dropped += self.echoes
+            # Later frames have come back: so did this one, only that nobody saw it.
+            if not self.echoes or self._echoes_seen >= sent.echoes + MAX_IN_FLIGHT:
+                through.append((sent.frame, sent.due_us))
             else:
-                through.append((frame, due_us))
+                self.stalled = True
         return through
 
     def _next_us(self, now_us: float) -> float:
         due = math.inf
         if self._in_flight:
-            due = self._in_flight[0][1] + (ECHO_TIMEOUT_US if self.echoes else 0.0)
+            due = self._in_flight[0].due_us
+            if self.echoes:
+                due = max(due + ECHO_TIMEOUT_US, now_us + LOOK_AGAIN_US)
         if self.waiting and len(self._in_flight) < MAX_IN_FLIGHT:
             due = min(due, max(self._retry_us, now_us))
         return due

@@ -99,7 +99,9 @@ def _drive_of(axis: AxisSnapshot, node: str, channel: str) -> DiagnosticStatus:
 
 def _bus_of(snapshot: Snapshot, node: str, channel: str) -> DiagnosticStatus:
     level, message = OK, snapshot.state
-    if snapshot.dropped_frames or snapshot.error_frames:
+    if snapshot.bus_state != "error active":
+        level, message = WARN, f"the controller is {snapshot.bus_state}"
+    elif snapshot.dropped_frames or snapshot.error_frames:
         level, message = WARN, "frames were lost or disturbed"
     if snapshot.state == "fault":
         level, message = ERROR, snapshot.reason
@@ -112,6 +114,9 @@ def _bus_of(snapshot: Snapshot, node: str, channel: str) -> DiagnosticStatus:
             {
                 "group": snapshot.state,
                 "load [%]": f"{100 * snapshot.bus_load:.1f}",
+                "controller": snapshot.bus_state,
+                "transmit errors": str(snapshot.transmit_errors),
+                "receive errors": str(snapshot.receive_errors),
                 "error frames": str(snapshot.error_frames),
                 "dropped frames": str(snapshot.dropped_frames),
                 "transmit queue full": str(snapshot.refused_frames),

@@ -116,6 +116,7 @@ class Group:
         self._steps: dict[int, _Step] = {}
         self._uncleared: set[int] = set()
         self._planned_start_us: float | None = None
+        self._fed_us = -math.inf  # when the last record before the start was handed over
         self._armed: set[int] = set()  # node ids whose "enable ip mode" is not yet on the bus
         self._handlers: dict[int, Callable[[bytes, float], None]] = {}
         self._echo_handlers: dict[int, Callable[[float], None]] = {
@@ -266,10 +267,16 @@ class Group:
         axis.heard_us = now_us
         axis.report(statusword, now_us)
 
+    def fail(self, reason: str) -> None:
+        """Something is wrong that no drive says: stop all, and be in fault."""
+        if self.phase in IN_MOTION:
+            self._stop_all(reason)
+        elif self.phase not in (Phase.FAULT, Phase.HALTING, Phase.RESETTING):
+            self._settle_fault(reason)
+
     def bus_failed(self, reason: str) -> None:
         """Nothing gets through any more: the drives stop by themselves, the group is in fault."""
-        if self.phase is not Phase.FAULT:
-            self._settle_fault(reason)
+        self._settle_fault(reason)
 
     def lost_axes(self) -> list[int]:
         """Axes that need to be brought up anew: restarted, or silent."""
@@ -461,6 +468,7 @@ class Group:
     def _prime(self) -> None:
         """Wait until every drive has reported every record, and for the time to arm."""
         if self._feed():
+            self._fed_us = self._now_us
             return
         planned = self._planned_start_us
         missing = self.feeder.unreported()
@@ -475,7 +483,7 @@ class Group:
                 self.outbox.append(
                     axis.synchronous_controlword(cia402.ENABLE_OPERATION | epos2.ENABLE_IP_MODE)
                 )
-        elif self._now_us > self._phase_us + REPLY_TIMEOUT_US:
+        elif self._now_us > self._fed_us + REPLY_TIMEOUT_US:
             axis = missing[0]
             self._stop_all(
                 f"{axis} reports {axis.used} records in its buffer where "
@@ -657,12 +665,8 @@ class Group:
 
     def _trouble(self) -> None:
         """An axis complains: all stop, whatever the group is doing."""
-        if not self.time.running:
-            return
-        if self.phase in IN_MOTION:
-            self._stop_all(self._complaints())
-        elif self.phase not in (Phase.FAULT, Phase.HALTING, Phase.RESETTING):
-            self._settle_fault(self._complaints())
+        if self.time.running:
+            self.fail(self._complaints())
 
     def _settle_fault(self, reason: str) -> None:
         """Come to rest in the fault phase, which only somebody's request leaves."""

@@ -22,12 +22,13 @@ from .epos2 import Epos2
 from .recorder import save
 from .slave import Slave
 
-CYCLE_US = 1000.0  # control cycles of all drives that are due within this are run together
+CYCLE_US = 2000.0  # drives are run no more often, for all control cycles since the last time
 TRANSMIT_QUEUE = 256  # frames; the oldest are lost when the bus doesn't take them
 _LONGEST_WAIT_S = 0.1  # for a frame, so that `stop` is noticed
 _OLDEST_STAMP_US = 1e6  # an older time stamp is of another clock
 _UNDISTURBED_US = 5.0  # reading three clocks takes less
 _CLOCK_READINGS = 10
+_REREAD_US = 100_000.0  # the two clocks go alike; only a step of the wall clock parts them
 
 
 def now_us() -> float:
@@ -117,6 +118,8 @@ class RealtimeSimulator:
         self._bus = bus
         self._drives = list(drives)
         self._queue: deque[tuple[Slave, int, bytes]] = deque(maxlen=TRANSMIT_QUEUE)
+        self._wall_offset_us = 0.0
+        self._wall_read_us = -math.inf
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="simulated drives", daemon=True)
 
@@ -170,11 +173,12 @@ class RealtimeSimulator:
                     )
         return True
 
-    @staticmethod
-    def _time_of(message: can.Message) -> float:
+    def _time_of(self, message: can.Message) -> float:
         """When the frame was on the bus; now, if its stamp is not of the system's wall clock."""
-        stamped = message.timestamp * 1e6 + wall_offset_us()
         now = now_us()
+        if now > self._wall_read_us + _REREAD_US:
+            self._wall_offset_us, self._wall_read_us = wall_offset_us(), now
+        stamped = message.timestamp * 1e6 + self._wall_offset_us
         return stamped if now - _OLDEST_STAMP_US < stamped < now else now
 
     def _flush(self) -> bool:
