@@ -6,6 +6,7 @@ import socket
 import struct
 import subprocess
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -106,13 +107,14 @@ def test_a_full_transmit_queue_loses_and_reorders_nothing(slow_vcan: str, drives
     ended = threading.Event()
 
     def chatter() -> None:
+        message = can.Message(arbitration_id=0x6E0, is_extended_id=False)
         with can.Bus(slow_vcan, "socketcan") as bus:
             while not ended.wait(0.1):
-                for n in range(20):
+                for _ in range(25):
                     try:
-                        bus.send(can.Message(arbitration_id=0x6E0, data=[n], is_extended_id=False))
+                        bus.send(message)
                     except can.CanOperationError:
-                        break
+                        time.sleep(0.5e-3)  # then there is room for one more
 
     chatterbox = threading.Thread(target=chatter)
     with rig("socketcan", slow_vcan, bitrate=125_000) as made:
