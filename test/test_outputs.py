@@ -21,9 +21,10 @@ from epos2_ros.bus.sdo_jobs import write_all
 from epos2_ros.compare_config import CompareConfig
 from epos2_ros.config import AxisConfig, DriverConfig
 from epos2_ros.errors import ConfigurationError, DriveError, MotionAborted, TrajectoryError
+from epos2_ros.motion.compare import Prediction, predict
 from epos2_ros.motion.crossings import Path
 from epos2_ros.motion.trajectory import Trajectory
-from epos2_ros.protocol.outputs import OutputEvent, Outputs
+from epos2_ros.protocol.outputs import OutputEvent, Outputs, Tally
 from epos2_ros.protocol.profile_axes import Phase
 from epos2_ros.sim.copley import Copley
 from epos2_ros.sim.epos2 import Epos2
@@ -352,9 +353,16 @@ def predicted(made: CompareBench, target: float) -> Path:
     return Path(t, target / 0.2 * x / COUNT, target / 0.2 * v / COUNT)
 
 
+def foreseen(made: CompareBench, path: Path) -> dict[str, Prediction]:
+    units = made.outputs.units[0]
+    return {
+        name: predict(trigger, path, units) for name, trigger in made.outputs.triggers(0).items()
+    }
+
+
 def test_what_was_predicted_is_held_against_what_is_reported() -> None:
     made, drive = bench(output("interval", start=0.0005, interval=0.001))
-    predictions = made.outputs.predict(0, predicted(made, 0.2))
+    predictions = foreseen(made, predicted(made, 0.2))
     assert len(predictions["camera"].fired) == 200
     assert predictions["camera"].warnings == ()
     made.outputs.begin(0)
@@ -364,12 +372,13 @@ def test_what_was_predicted_is_held_against_what_is_reported() -> None:
     made.run(1.0)
     assert len(made.of("camera")) == 200
     assert made.notices == []
+    assert made.outputs.tally("camera") == Tally(events=200, predicted=200, reported=200)
 
 
 def test_a_difference_from_the_prediction_is_told() -> None:
     made, drive = bench(output("interval", start=0.0005, interval=0.001))
     made.outputs.begin(0)
-    made.outputs.expect(made.outputs.predict(0, predicted(made, 0.2)))
+    made.outputs.expect(foreseen(made, predicted(made, 0.2)))
     start_us = made.move(x=0.1)
     made.outputs.finished(0, start_us, made.now_us)
     made.run(1.0)
@@ -381,7 +390,7 @@ def test_what_is_left_of_a_sequence_is_predicted() -> None:
     made.move(x=0.025)
     made.run(0.5)
     made.move(x=0.0)
-    left = made.outputs.predict(0, predicted(made, 0.2))["camera"].fired
+    left = foreseen(made, predicted(made, 0.2))["camera"].fired
     assert left.count.tolist() == [60_000, 80_000, 100_000]
 
 

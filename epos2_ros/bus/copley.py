@@ -16,8 +16,8 @@ import canopen
 from epos2_ros.bus.bringup import DRIVE_HEARTBEAT_MS, HOST_HEARTBEAT_TIMEOUT_MS, STATE_TIMEOUT_S
 from epos2_ros.bus.link import Network
 from epos2_ros.config import AxisConfig
-from epos2_ros.errors import DriveError
-from epos2_ros.motion.units import AxisUnits, drive_limits
+from epos2_ros.errors import ConfigurationError, DriveError
+from epos2_ros.motion.units import UINT32_MAX, AxisUnits, position_limits
 from epos2_ros.protocol import cia402, copley, epos2
 from epos2_ros.protocol.cia402 import State
 from epos2_ros.protocol.epos2 import PdoMapping
@@ -38,13 +38,22 @@ class CopleySettings:
     @classmethod
     def of(cls, axis: AxisConfig) -> CopleySettings:
         """From the configuration in joint units."""
-        units, limits = AxisUnits.of(axis), drive_limits(axis, margin_qc=1)
-        stop = axis.stop_deceleration
+        units, stop = AxisUnits.of(axis), axis.stop_deceleration
+        for parameter, unit, step in (
+            ("max_velocity", "/s", copley.VELOCITY_UNIT_COUNTS_S),
+            ("max_acceleration", "/s²", copley.ACCELERATION_UNIT_COUNTS_S2),
+            ("stop_deceleration", "/s²", copley.ACCELERATION_UNIT_COUNTS_S2),
+        ):
+            value, most = getattr(axis, parameter), abs(units.from_qc_s(UINT32_MAX * step))
+            if value is not None and value > most:
+                raise ConfigurationError(
+                    f"axes.{axis.joint}.{parameter}: {value:g} {units.unit}{unit} is more than the "
+                    f"drive can hold ({most:g} {units.unit}{unit})"
+                )
         return cls(
             axis.joint,
             axis.node_id,
-            limits.min_position,
-            limits.max_position,
+            *position_limits(axis, margin_qc=1),
             None if stop is None else abs(units.to_qc_s(stop)),
         )
 

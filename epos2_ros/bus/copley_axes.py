@@ -25,19 +25,23 @@ from epos2_ros.protocol.sdo import SdoWrite
 
 
 class CopleyAxes:
-    """All axes of `configs`, which are those with `drive: copley`."""
+    """All axes of `configs`, which are those with `drive: copley`.
+
+    ConfigurationError for what their drives can't hold.
+    """
 
     def __init__(self, configs: Sequence[AxisConfig], worker: Worker, reactor: Reactor) -> None:
         self.configs = tuple(configs)
         self.protocol = ProfileAxes([(axis.joint, axis.node_id) for axis in configs])
         self.nodes: list[CopleyNode] = []
+        self._settings = [CopleySettings.of(axis) for axis in configs]
         self._units = [AxisUnits.of(axis) for axis in configs]
         self._worker = worker
         self._reactor = reactor
 
     def open(self, network: Network) -> None:
         """A bus has been opened."""
-        self.nodes = [CopleyNode(network, CopleySettings.of(axis)) for axis in self.configs]
+        self.nodes = [CopleyNode(network, settings) for settings in self._settings]
 
     def bring_up(self, index: int) -> None:
         """Configure a drive, on the worker."""

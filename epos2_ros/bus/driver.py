@@ -13,23 +13,27 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures import TimeoutError as FutureTimeoutError
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TypeVar
-
-import numpy as np
+from typing import NamedTuple, TypeVar
 
 from epos2_ros.bus.bringup import Epos2Node
 from epos2_ros.bus.copley_axes import CopleyAxes
 from epos2_ros.bus.health import BusState, Health
 from epos2_ros.bus.link import Link, open_bus
 from epos2_ros.bus.output_service import OutputService
+from epos2_ros.bus.predictor import Predictor
 from epos2_ros.bus.reactor import Reactor
 from epos2_ros.bus.settings import axis_setup, drive_settings, group_settings
 from epos2_ros.bus.timestamps import now_us, wall_offset_us
 from epos2_ros.bus.worker import Worker
 from epos2_ros.compare_config import CompareConfig
 from epos2_ros.config import AxisConfig, DriverConfig
-from epos2_ros.errors import ConfigurationError, DriveError, Epos2RosError, MotionAborted
-from epos2_ros.motion.crossings import Path
+from epos2_ros.errors import (
+    ConfigurationError,
+    DriveError,
+    Epos2RosError,
+    MotionAborted,
+    TrajectoryError,
+)
 from epos2_ros.motion.reference import Reference
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.motion.units import AxisUnits
@@ -37,7 +41,7 @@ from epos2_ros.protocol.clock import time_of_day
 from epos2_ros.protocol.epos2 import BUFFER_SIZE
 from epos2_ros.protocol.frame import Frame
 from epos2_ros.protocol.group import IN_MOTION, Event, Group, Phase
-from epos2_ros.protocol.outputs import OutputEvent
+from epos2_ros.protocol.outputs import OutputEvent, Tally
 from epos2_ros.protocol.path import PathCommander, Placement
 from epos2_ros.protocol.profile_axes import IN_MOTION as IN_PROFILE_MOTION
 from epos2_ros.protocol.profile_axes import Phase as ProfilePhase
@@ -72,11 +76,20 @@ class AxisSnapshot:
     buffered_ms: float
     status_word: int  # 0x20C4-01
     fault: str
-    following_error_qc: int
-    clock_offset_us: float
-    clock_drift_ppm: float
+    following_error_qc: int | None  # None: this drive does not say
+    clock_offset_us: float | None  # None: this drive has no clock that could be set
+    clock_drift_ppm: float | None
     executed_qc: int | None  # position demand at the last SYNC
     records_sent: int
+
+
+class OutputSnapshot(NamedTuple):
+    """One position-triggered output."""
+
+    name: str
+    joint: str
+    node_id: int
+    tally: Tally
 
 
 @dataclass(frozen=True)
@@ -95,10 +108,11 @@ class Snapshot:
     bus_state: str = BusState.ACTIVE.value  # of the CAN controller, as far as it tells
     transmit_errors: int = 0  # the controller's counters
     receive_errors: int = 0
+    outputs: tuple[OutputSnapshot, ...] = ()
 
 
 class Driver:
-    """One group of drives on one bus. All methods are thread-safe and bounded in time."""
+    """All drives on one bus. All methods are thread-safe and bounded in time."""
 
     def __init__(
         self,
@@ -109,8 +123,6 @@ class Driver:
         self._all_axes = config.axes
         # The group moves in interpolated position mode; the others beside it.
         config = replace(config, axes=tuple(a for a in config.axes if a.drive == "epos2"))
-        if not config.axes:
-            raise ConfigurationError("joints: none has drive epos2; the driver needs one")
         self._config = config
         self._on_event = on_event
         self._reactor = Reactor(self._step)
@@ -133,7 +145,15 @@ class Driver:
             self._worker,
             self._reactor,
             partial(self._announce, on_output),
-            lambda text: self._announce(on_event, Event("warning", text)),
+            self._warn,
+        )
+        self._predictor = Predictor(
+            [axis.joint for axis in self._all_axes],
+            self._group,
+            self._copley.protocol,
+            self._outputs.protocol,
+            self._reactor,
+            self._warn,
         )
 
     # ------------------------------------------------------------------ life
@@ -153,8 +173,7 @@ class Driver:
         for axis in self._all_axes:
             if axis.drive not in ("epos2", "copley"):
                 raise ConfigurationError(
-                    f"axes.{axis.joint}.drive: {axis.drive!r} is not a family this driver knows; "
-                    "allowed are 'epos2' and 'copley'"
+                    f"axes.{axis.joint}.drive is {axis.drive!r}; it must be epos2 or copley"
                 )
             if axis.node_id == HOST_NODE_ID:
                 raise ConfigurationError(
@@ -218,6 +237,7 @@ class Driver:
         """Close the bus. Drives that are still enabled stop on the host's missing heartbeat."""
         self._worker.close()
         self._reactor.stop()
+        self._predictor.close()
         self._announcer.shutdown()
         if self._link is not None:
             self._link.close()
@@ -239,8 +259,15 @@ class Driver:
 
     def submit(self, trajectory: Trajectory) -> None:
         """Run a trajectory, or stop on the path if it has no points. TrajectoryError: refused."""
+        for axis in self._copley.configs:
+            if axis.joint in trajectory.joint_names:
+                raise TrajectoryError(
+                    f"joint '{axis.joint}' can't follow a trajectory: its Copley drive moves in "
+                    "profile position mode, by ~/move_to",
+                    TrajectoryError.INVALID_JOINTS,
+                )
         if not len(trajectory.times_s):
-            self._reactor.call(self._path.stop)
+            self._reactor.call(self._stop_path)
             return
         start_us = None
         if trajectory.stamp_s:
@@ -261,7 +288,7 @@ class Driver:
 
         Returns when they have left. TrajectoryError: refused.
         """
-        self._reactor.call(lambda: self._copley.move_to(targets, duration_s))
+        self._reactor.call(lambda: self._move_to(targets, duration_s))
 
     def set_positions(self, output: str, positions: Sequence[float]) -> None:
         """A series gets other positions [unit]; ConfigurationError if it can't."""
@@ -279,7 +306,7 @@ class Driver:
 
     def stop_on_path(self) -> None:
         """All axes slow down together along the commanded path; returns when they stand."""
-        motion = self._reactor.call(self._path.stop)
+        motion = self._reactor.call(self._stop_path)
         if motion is not None:
             try:
                 self._wait(motion, "stop")
@@ -326,10 +353,12 @@ class Driver:
         health = link.health if link else Health()
         axes = [self._axis_snapshot(index, path_ms) for index in range(len(self._units))]
         by_joint = {axis.joint: axis for axis in [*axes, *self._copley_snapshots()]}
+        state, reason = self._state()
         return Snapshot(
             axes=tuple(by_joint[axis.joint] for axis in self._all_axes),
-            state=self._group.phase.value,
-            reason=self._group.reason,
+            outputs=self._output_snapshots(),
+            state=state,
+            reason=reason,
             bus_load=link.load if link else 0.0,
             sync_count=self._group.time.sync_count,
             sync_time_source=link.time_source if link else "",
@@ -367,6 +396,23 @@ class Driver:
             records_sent=axis.account.sent,
         )
 
+    def _state(self) -> tuple[str, str]:
+        """Of all axes: what is wrong with some of them comes first."""
+        group, profile = self._group, self._copley.protocol
+        troubled = group.phase is not Phase.FAULT and profile.phase is ProfilePhase.FAULT
+        if troubled or not group.axes:
+            return profile.phase.value, profile.reason
+        return group.phase.value, group.reason
+
+    def _output_snapshots(self) -> tuple[OutputSnapshot, ...]:
+        outputs, node_ids = self._outputs.protocol, {a.joint: a.node_id for a in self._all_axes}
+        return tuple(
+            OutputSnapshot(
+                output.name, output.joint, node_ids[output.joint], outputs.tally(output.name)
+            )
+            for output in self._config.outputs
+        )
+
     def _copley_snapshots(self) -> list[AxisSnapshot]:
         nan = math.nan
         snapshots = []
@@ -387,9 +433,9 @@ class Driver:
                     buffered_ms=0.0,
                     status_word=0,
                     fault=axis.trouble,
-                    following_error_qc=0,
-                    clock_offset_us=nan,
-                    clock_drift_ppm=nan,
+                    following_error_qc=None,
+                    clock_offset_us=None,
+                    clock_drift_ppm=None,
                     executed_qc=axis.position_qc,
                     records_sent=0,
                 )
@@ -444,6 +490,7 @@ class Driver:
     def _flush(self) -> None:
         """Carry out what the axes ask for."""
         self._stop_together()
+        self._predictor.watch(now_us())
         while self._group.outbox and self._link is not None:
             self._link.send(self._group.outbox.popleft())
         while self._group.clearing:
@@ -451,9 +498,7 @@ class Driver:
         while self._copley.protocol.outbox and self._link is not None:
             self._link.send(self._copley.protocol.outbox.popleft())
         while self._group.events:
-            event = self._group.events.popleft()
-            self._settle(event)
-            self._announce(self._on_event, event)
+            self._announce(self._on_event, self._group.events.popleft())
         while self._copley.protocol.events:
             self._announce(self._on_event, Event(*self._copley.protocol.events.popleft()))
 
@@ -465,48 +510,28 @@ class Driver:
         if profile.phase is ProfilePhase.FAULT and group.phase in IN_MOTION:
             group.halt(profile.reason)
 
+    def _warn(self, text: str) -> None:
+        self._announce(self._on_event, Event("warning", text))
+
     def _announce(self, tell: Callable[[T], None], event: T) -> None:
         self._announcer.submit(tell, event)
 
-    # ------------------------------------------------------------------ outputs
+    def _move_to(self, targets: Mapping[str, float], duration_s: float) -> None:
+        if self._group.phase is Phase.FAULT:  # one axis in trouble stops all
+            raise TrajectoryError(f"can't move: the drives are {self._group.describe_phase()}")
+        self._copley.move_to(targets, duration_s)
 
     def _commit(self, placement: Placement, reference: Reference) -> bool:
-        """As the path commander's; predictions are made of motions that begin from rest."""
-        standing = self._group.phase is Phase.STANDING
-        if not self._path.commit(placement, reference):
-            return False
-        if not self._config.outputs:
-            return True
-        self._outputs.protocol.forget()
-        if standing:
-            for axis in self._config.axes:
-                self._outputs.protocol.begin(self._all_axes.index(axis))
-            self._announcer.submit(self._predict, reference)
-        return True
+        if self._copley.protocol.phase is ProfilePhase.FAULT:
+            raise TrajectoryError(f"can't move: {self._copley.protocol.reason}")
+        done = self._path.commit(placement, reference)
+        self._predictor.watch(now_us())
+        return done
 
-    def _predict(self, reference: Reference) -> None:
-        """Every crossing of the motion, and what is to be said of it before it happens."""
-        k = np.arange(reference.end_ms + 1)
-        positions, velocities = reference.positions(k), reference.velocities(k)
-        for index, axis in enumerate(self._config.axes):
-            place = self._all_axes.index(axis)
-            path = Path(k.astype(float) * 1000, positions[:, index], velocities[:, index])
-            predictions = self._outputs.protocol.predict(place, path)
-            self._reactor.post(partial(self._outputs.protocol.expect, predictions))
-            for name, prediction in predictions.items():
-                for warning in prediction.warnings:
-                    self._on_event(Event("warning", f"compare.{name}: {warning}"))
-
-    def _settle(self, event: Event) -> None:
-        """A motion is over: what it fired is held against what was predicted."""
-        if event.kind in ("aborted", "fault"):
-            self._outputs.protocol.forget()
-        elif event.kind == "done" and self._group.start_us is not None:
-            for axis in self._config.axes:
-                place = self._all_axes.index(axis)
-                delay_us = self._outputs.protocol.watches[place].executed.delay_us
-                zero_us = self._group.start_us + delay_us
-                self._outputs.protocol.finished(place, zero_us, now_us())
+    def _stop_path(self) -> Future[None] | None:
+        motion = self._path.stop()
+        self._predictor.watch(now_us())
+        return motion
 
     def _clear_buffer(self, index: int) -> None:
         try:

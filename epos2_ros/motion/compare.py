@@ -7,13 +7,22 @@ the encoder and µs; nothing here depends on how a drive is told.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from epos2_ros.motion.crossings import Counts, Crossings, Path, Points, crossings, rests
+from epos2_ros.motion.crossings import (
+    Counts,
+    Crossings,
+    Grid,
+    Path,
+    Points,
+    Rests,
+    crossings,
+    rests,
+)
 from epos2_ros.motion.units import AxisUnits
 
 FloatArray = NDArray[np.float64]
@@ -51,6 +60,13 @@ class Trigger:
             found = found.where(found.t_us <= min(ends.t_us, default=np.inf))
         return found
 
+    def going_on_at(self, count: int) -> Trigger:
+        """Of a sequence, what is left when `count` is the next to fire."""
+        assert isinstance(self.counts, Grid)
+        if self.end is not None and (count > self.end if self.rising else count < self.end):
+            return replace(self, counts=Points(()))
+        return replace(self, counts=Grid(count, self.counts.step))
+
 
 NEAR_COUNTS = 2
 """So close to an output it is not known on which side of it the axis stands."""
@@ -66,13 +82,17 @@ class Prediction(NamedTuple):
 
 def predict(trigger: Trigger, path: Path, units: AxisUnits) -> Prediction:
     """What `trigger` does along `path`."""
-    fired = trigger.fires(path)
+    return assess(trigger, trigger.fires(path), rests(path), units)
+
+
+def assess(trigger: Trigger, fired: Crossings, stops: Rests, units: AxisUnits) -> Prediction:
+    """What is to be said of what fires on a path that stops or turns where `stops` says."""
     error = np.zeros(len(fired))
     if trigger.extrapolated:
         error = extrapolation_error(fired.acceleration_qc_s2)
     warnings = (
-        *_about_rests(trigger, path, units),
-        *_about_extrapolation(trigger, path, fired, error, units),
+        *_about_rests(trigger, stops, units),
+        *_about_extrapolation(trigger, stops, fired, error, units),
         *_about_time(trigger, fired, units),
     )
     return Prediction(fired, error, warnings)
@@ -116,9 +136,9 @@ _REMEDIES = (
 )
 
 
-def _about_rests(trigger: Trigger, path: Path, units: AxisUnits) -> list[str]:
+def _about_rests(trigger: Trigger, stops: Rests, units: AxisUnits) -> list[str]:
     """Where the axis stops or turns on an output, a count of following error decides."""
-    for stop in rests(path)[0]:
+    for stop in stops.position_qc:
         near = trigger.counts.cell(stop - NEAR_COUNTS), trigger.counts.cell(stop + NEAR_COUNTS)
         if near[0] != near[1]:
             return [
@@ -130,7 +150,7 @@ def _about_rests(trigger: Trigger, path: Path, units: AxisUnits) -> list[str]:
 
 
 def _about_extrapolation(
-    trigger: Trigger, path: Path, fired: Crossings, error: FloatArray, units: AxisUnits
+    trigger: Trigger, stops: Rests, fired: Crossings, error: FloatArray, units: AxisUnits
 ) -> list[str]:
     """The note, "Position extrapolation": fired early or late, twice, or though never reached."""
     warnings: list[str] = []
@@ -156,9 +176,9 @@ def _about_extrapolation(
                 f"{twice} of {len(fired)} outputs may fire twice: the axis slows down where they "
                 f"are, so the extrapolated position passes them and is taken back; {_REMEDIES}"
             )
-    position, acceleration = rests(path)
-    beyond = position - np.sign(acceleration) * extrapolation_error(acceleration)
-    for stop, reach in zip(position, beyond, strict=True):
+    acceleration = stops.acceleration_qc_s2
+    beyond = stops.position_qc - np.sign(acceleration) * extrapolation_error(acceleration)
+    for stop, reach in zip(stops.position_qc, beyond, strict=True):
         if trigger.counts.cell(stop) != trigger.counts.cell(reach):
             warnings.append(
                 f"an output may fire that the axis never reaches: it stops at "

@@ -12,6 +12,7 @@ next goes on, and no crossing is found twice or missed at a seam.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import NamedTuple
@@ -114,6 +115,31 @@ class Crossings:
         """Those of them that the mask selects."""
         return Crossings(*(getattr(self, column.name)[mask] for column in fields(self)))
 
+    @classmethod
+    def joined(cls, parts: Sequence[Crossings]) -> Crossings:
+        """One after another."""
+        if len(parts) == 1:
+            return parts[0]
+        columns = (column.name for column in fields(cls))
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in columns))
+
+
+class Rests(NamedTuple):
+    """Where an axis turns round or comes to rest; arrays of one length."""
+
+    t_us: FloatArray
+    position_qc: FloatArray
+    acceleration_qc_s2: FloatArray  # with which it got there
+
+    def where(self, mask: NDArray[np.bool_]) -> Rests:
+        """Those of them that the mask selects."""
+        return Rests(*(column[mask] for column in self))
+
+    @classmethod
+    def joined(cls, parts: Sequence[Rests]) -> Rests:
+        """One after another."""
+        return cls(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
 
 def crossings(counts: Counts, path: Path) -> Crossings:
     """Every crossing of `counts` on the way along `path`."""
@@ -135,15 +161,15 @@ def crossings(counts: Counts, path: Path) -> Crossings:
     return Crossings(t_us, count, index, rising, velocity, acceleration)
 
 
-def rests(path: Path) -> tuple[FloatArray, FloatArray]:
-    """Where the axis turns round or comes to rest: positions [qc], and the accelerations with
-    which it got there [qc/s²]."""
+def rests(path: Path) -> Rests:
+    """Where the axis turns round or comes to rest on the way along `path`."""
     pieces = _Pieces.of(path)
     piece, u0, u1 = pieces.monotone()
     velocity, acceleration = pieces.slopes(piece, u1)
     moved = np.abs(pieces.position(piece, u1) - pieces.position(piece, u0))
     here = (np.abs(velocity) * pieces.duration_us[piece] * 1e-6 <= 1e-6 * moved) & (moved > 0)
-    return pieces.position(piece, u1)[here], acceleration[here]
+    t_us = path.t_us[piece] + u1 * pieces.duration_us[piece]
+    return Rests(t_us[here], pieces.position(piece, u1)[here], acceleration[here])
 
 
 @dataclass(frozen=True)

@@ -75,7 +75,7 @@ class Limits:
         return cls(
             tuple(axis.joint for axis in axes),
             tuple(AxisUnits.of(axis).unit for axis in axes),
-            *np.array(rows, dtype=np.float64).T,
+            *np.array(rows, dtype=np.float64).reshape(-1, 5).T,
         )
 
 

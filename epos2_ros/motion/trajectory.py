@@ -106,8 +106,10 @@ class Trajectory:
         place = {joint: i for i, joint in enumerate(joints)}
         for name in self.joint_names:
             if name not in place:
+                known = f"this driver has {', '.join(joints)}"
+                none = "no joint of this driver follows trajectories"
                 raise TrajectoryError(
-                    f"joint '{name}' is unknown; this driver has {', '.join(joints)}",
+                    f"joint '{name}' is unknown; {known if joints else none}",
                     TrajectoryError.INVALID_JOINTS,
                 )
         missing = [joint for joint in joints if joint not in self.joint_names]

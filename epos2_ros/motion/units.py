@@ -148,12 +148,8 @@ class AxisUnits:
         return value
 
 
-def drive_limits(axis: AxisConfig, margin_qc: int = 0) -> DriveLimits:
-    """The axis' limits for 0x607D, 0x607F/0x6081 and 0x60C5/0x6083.
-
-    `margin_qc` widens the position limits: the executed curve may run past the
-    commanded one by the tolerance, which must not be a fault when it touches a limit.
-    """
+def position_limits(axis: AxisConfig, margin_qc: int = 0) -> tuple[int, int]:
+    """The axis' limits for 0x607D [qc], widened by `margin_qc`."""
     units = AxisUnits.of(axis)
     ends: dict[bool, int] = {False: INT32_MIN, True: INT32_MAX}  # by "is the upper end"
     for position, name, upper in (
@@ -164,9 +160,18 @@ def drive_limits(axis: AxisConfig, margin_qc: int = 0) -> DriveLimits:
             value = units.position_object(position, name)
             upper_qc = upper == (units.qc_per_unit > 0)
             ends[upper_qc] = value + margin_qc if upper_qc else value - margin_qc
+    return max(ends[False], INT32_MIN), min(ends[True], INT32_MAX)
+
+
+def drive_limits(axis: AxisConfig, margin_qc: int = 0) -> DriveLimits:
+    """The axis' limits for 0x607D, 0x607F/0x6081 and 0x60C5/0x6083.
+
+    `margin_qc` widens the position limits: the executed curve may run past the
+    commanded one by the tolerance, which must not be a fault when it touches a limit.
+    """
+    units = AxisUnits.of(axis)
     return DriveLimits(
-        max(ends[False], INT32_MIN),
-        min(ends[True], INT32_MAX),
+        *position_limits(axis, margin_qc),
         None if axis.max_velocity is None else units.velocity_object(axis.max_velocity),
         None if axis.max_acceleration is None else units.acceleration_object(axis.max_acceleration),
     )

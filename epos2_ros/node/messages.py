@@ -16,7 +16,7 @@ from sensor_msgs.msg import JointState
 from epos2_ros.protocol.epos2 import BufferStatus
 
 if TYPE_CHECKING:
-    from epos2_ros.bus.driver import AxisSnapshot, Snapshot
+    from epos2_ros.bus.driver import AxisSnapshot, OutputSnapshot, Snapshot
     from epos2_ros.protocol.outputs import OutputEvent
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
@@ -46,9 +46,10 @@ def output_event(event: OutputEvent, stamp: Time) -> JointState:
 
 
 def diagnostics(snapshot: Snapshot, node: str, channel: str, stamp: Time) -> DiagnosticArray:
-    """The state of each drive and of the bus."""
+    """The state of each drive, of each position-triggered output and of the bus."""
     axes = [_drive_of(axis, node, channel) for axis in snapshot.axes]
-    return _array(stamp, [*axes, _bus_of(snapshot, node, channel)])
+    outputs = [_output_of(output, node, channel) for output in snapshot.outputs]
+    return _array(stamp, [*axes, *outputs, _bus_of(snapshot, node, channel)])
 
 
 def _buffer_of(axis: AxisSnapshot, channel: str) -> DiagnosticStatus:
@@ -80,6 +81,11 @@ def _drive_of(axis: AxisSnapshot, node: str, channel: str) -> DiagnosticStatus:
         level, message = ERROR, axis.fault or axis.state
     else:
         level, message = OK if axis.state == "operation enabled" else WARN, axis.state
+    clock_and_error = {
+        "following error [qc]": _given(axis.following_error_qc, "d"),
+        "clock offset [us]": _given(axis.clock_offset_us, ".1f"),
+        "clock drift [ppm]": _given(axis.clock_drift_ppm, ".2f"),
+    }
     return DiagnosticStatus(
         level=level,
         name=f"{node}: {axis.joint}",
@@ -89,9 +95,26 @@ def _drive_of(axis: AxisSnapshot, node: str, channel: str) -> DiagnosticStatus:
             {
                 "state": axis.state,
                 "last emergency": axis.fault or "none",
-                "following error [qc]": str(axis.following_error_qc),
-                "clock offset [us]": f"{axis.clock_offset_us:.1f}",
-                "clock drift [ppm]": f"{axis.clock_drift_ppm:.2f}",
+                **{name: text for name, text in clock_and_error.items() if text},
+            }
+        ),
+    )
+
+
+def _output_of(output: OutputSnapshot, node: str, channel: str) -> DiagnosticStatus:
+    tally = output.tally
+    known = tally.predicted is not None
+    return DiagnosticStatus(
+        level=WARN if tally.difference else OK,
+        name=f"{node}: compare.{output.name}",
+        message=tally.difference or ("as predicted" if known else "no motion yet"),
+        hardware_id=f"{channel}/{output.node_id}",
+        values=_values(
+            {
+                "joint": output.joint,
+                "events": str(tally.events),
+                "predicted in last motion": str(tally.predicted) if known else "",
+                "reported in last motion": str(tally.reported) if known else "",
             }
         ),
     )
@@ -125,6 +148,10 @@ def _bus_of(snapshot: Snapshot, node: str, channel: str) -> DiagnosticStatus:
             }
         ),
     )
+
+
+def _given(value: float | None, format_spec: str) -> str:
+    return "" if value is None else format(value, format_spec)
 
 
 def _values(pairs: Mapping[str, str]) -> list[KeyValue]:

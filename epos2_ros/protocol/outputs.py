@@ -9,13 +9,14 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from math import inf
 from typing import NamedTuple
 
 from epos2_ros.compare_config import CompareConfig
 from epos2_ros.config import AxisConfig
 from epos2_ros.errors import ConfigurationError
-from epos2_ros.motion.compare import Prediction, Trigger, difference, predict
-from epos2_ros.motion.crossings import Grid, Path, Points
+from epos2_ros.motion.compare import Prediction, Trigger, difference
+from epos2_ros.motion.crossings import Grid, Path
 from epos2_ros.motion.units import AxisUnits
 from epos2_ros.protocol import copley_compare, epos2_compare
 from epos2_ros.protocol.compare import CountScale, Output, check_pins
@@ -30,7 +31,8 @@ from epos2_ros.protocol.frame import Frame
 from epos2_ros.protocol.path_watch import PathWatch
 from epos2_ros.protocol.sdo import SdoRead, SdoWrite
 
-SETTLING_US = 300_000.0  # after a motion: what it has fired is reported by then
+SETTLING_US = 300_000.0  # after a motion: what it has fired is reported by then, …
+SETTLING_PIECES = 3  # … and when the drive was read so often
 
 
 class OutputEvent(NamedTuple):
@@ -54,6 +56,26 @@ class SdoJob:
 
 
 @dataclass
+class Tally:
+    """What an output has fired, and how the last motion that was predicted compares."""
+
+    events: int = 0  # in all
+    predicted: int | None = None  # of the last motion; None: none yet
+    reported: int = 0
+    difference: str = ""  # in words; "" if there is none
+
+
+@dataclass
+class _Run:
+    """A motion whose events are held against what was predicted of it."""
+
+    expected: Prediction | None = None
+    zero_us: float = inf  # where its predicted times begin
+    end_us: float = inf
+    pieces: int = 0  # of path since its end
+
+
+@dataclass
 class _Armed:
     """An output at work, with what the drive has answered since the last piece of path."""
 
@@ -64,14 +86,14 @@ class _Armed:
     asked: bool = False
     failing: bool = False  # the last job came to nothing, which has been said
     missed: int = 0  # of a marker
-    recording: bool = False  # a motion that is to be held against its prediction
-    expected: Prediction | None = None
-    told: list[tuple[int, bool, float]] = field(default_factory=list)  # since it has begun
-    settled: tuple[float, float] | None = None  # the motion's zero and end
+    tally: Tally = field(default_factory=Tally)
+    runs: deque[_Run] = field(default_factory=deque)  # begun and not yet compared
+    told: list[tuple[int, bool, float]] = field(default_factory=list)  # since the first of them
 
     def forget(self) -> None:
-        """The motion is over, or comes to another end than was predicted."""
-        self.recording, self.expected, self.settled = False, None, None
+        """What is under way comes to another end than was predicted."""
+        self.runs.clear()
+        self.told.clear()
 
 
 class Outputs:
@@ -88,7 +110,7 @@ class Outputs:
         self.events: deque[OutputEvent] = deque()
         self.notices: deque[str] = deque()  # for the log
         self._axes = tuple(axes)
-        self._units = [AxisUnits.of(axis) for axis in axes]
+        self.units = [AxisUnits.of(axis) for axis in axes]
         self._armed: dict[str, _Armed] = {}
         check_pins(configs)
         joints = [axis.joint for axis in axes]
@@ -98,11 +120,11 @@ class Outputs:
         for index in range(len(axes)):
             for output in self._make(index, configs):
                 self._armed[output.config.name] = _Armed(index, output)
-                self.notices.extend(CountScale(output.config, self._units[index]).remarks)
+                self.notices.extend(CountScale(output.config, self.units[index]).remarks)
 
     def _make(self, axis: int, configs: Sequence[CompareConfig]) -> Sequence[Output]:
         mine = [config for config in configs if config.joint == self._axes[axis].joint]
-        family, units = self._axes[axis].drive, self._units[axis]
+        family, units = self._axes[axis].drive, self.units[axis]
         if family == "epos2":
             return epos2_compare.make_outputs(mine, units)
         if family == "copley":
@@ -176,7 +198,7 @@ class Outputs:
             ]
         for armed in again:
             writes += self._start(armed, position_qc)
-        self.notices.extend(CountScale(config, self._units[changed.axis]).remarks)
+        self.notices.extend(CountScale(config, self.units[changed.axis]).remarks)
         return writes
 
     def _named(self, name: str) -> _Armed:
@@ -188,47 +210,61 @@ class Outputs:
 
     # ------------------------------------------------------------------ prediction
 
-    def predict(self, axis: int, path: Path) -> dict[str, Prediction]:
-        """By output, what fires when the axis goes along `path` from where it is now."""
+    def triggers(self, axis: int) -> dict[str, Trigger]:
+        """By output, what fires it from now on; of those that positions fire."""
+        found = {name: _from_now_on(armed) for name, armed in self._armed.items()}
         return {
-            name: predict(trigger, path, self._units[axis])
-            for name, armed in self._armed.items()
-            if armed.axis == axis and (trigger := _from_now_on(armed)) is not None
+            name: trigger
+            for name, trigger in found.items()
+            if trigger is not None and self._armed[name].axis == axis
         }
 
     def begin(self, axis: int) -> None:
         """The axis begins a motion that a prediction will be made of."""
         for armed in self._armed.values():
             if armed.axis == axis:
-                armed.recording, armed.expected = True, None
-                armed.told, armed.settled = [], None
+                armed.runs.append(_Run())
 
     def expect(self, predictions: Mapping[str, Prediction]) -> None:
-        """The predictions of the motion that has begun, to be held against what is reported."""
+        """By output, the prediction of the motion that began last, instead of an earlier one."""
         for name, prediction in predictions.items():
-            self._named(name).expected = prediction
+            if self._armed[name].runs:
+                self._armed[name].runs[-1].expected = prediction
 
     def finished(self, axis: int, zero_us: float, end_us: float) -> None:
         """The axis' motion, whose predictions count from `zero_us`, is over: compare."""
         for armed in self._armed.values():
-            if armed.axis == axis and armed.recording:
-                armed.settled = (zero_us, end_us)
+            if armed.axis == axis and armed.runs:
+                armed.runs[-1].zero_us, armed.runs[-1].end_us = zero_us, end_us
 
-    def forget(self) -> None:
-        """The motion came to another end than was predicted."""
+    def forget(self, axis: int) -> None:
+        """The axis' motion came to another end than was predicted."""
         for armed in self._armed.values():
-            armed.forget()
+            if armed.axis == axis:
+                armed.forget()
+
+    def tally(self, name: str) -> Tally:
+        """What the output has fired so far."""
+        return replace(self._named(name).tally)
 
     def _settle(self, armed: _Armed, now_us: float) -> None:
-        if armed.expected is None or armed.settled is None:
+        """Compare the motion that was over long enough ago for all of it to be reported."""
+        run = armed.runs[0] if armed.runs else None
+        if run is None or now_us < run.end_us:
             return
-        zero_us, end_us = armed.settled
-        if now_us < end_us + SETTLING_US:
+        run.pieces += 1
+        settled = run.pieces >= SETTLING_PIECES and now_us >= run.end_us + SETTLING_US
+        if run.expected is None or not settled:
             return
-        wrong = difference(armed.expected.fired, armed.told, zero_us)
-        if wrong:
-            self.notices.append(f"compare.{armed.output.config.name}: {wrong}")
-        armed.forget()
+        armed.runs.popleft()
+        until_us = run.end_us + (armed.runs[0].zero_us - run.end_us) / 2 if armed.runs else inf
+        mine = [event for event in armed.told if event[2] < until_us]
+        del armed.told[: len(mine) if armed.runs else None]
+        tally, expected = armed.tally, run.expected.fired
+        tally.predicted, tally.reported = len(expected), len(mine)
+        tally.difference = difference(expected, mine, run.zero_us)
+        if tally.difference:
+            self.notices.append(f"compare.{armed.output.config.name}: {tally.difference}")
 
     # ------------------------------------------------------------------ what comes back
 
@@ -292,9 +328,10 @@ class Outputs:
         self.jobs.append(SdoJob(armed.axis, name, tuple(self._start(armed, position_qc))))
 
     def _tell(self, armed: _Armed, events: Sequence[CompareEvent]) -> None:
-        units, config = self._units[armed.axis], armed.output.config
+        units, config = self.units[armed.axis], armed.output.config
         for event in events:
-            if armed.recording:
+            armed.tally.events += 1
+            if armed.runs:
                 armed.told.append((event.position_qc, event.rising, event.t_us))
             self.events.append(
                 OutputEvent(
@@ -312,10 +349,9 @@ def _from_now_on(armed: _Armed) -> Trigger | None:
     trigger, tracker = armed.output.trigger, armed.tracker
     if trigger is None or not isinstance(tracker, SingleTracker):
         return trigger
-    assert isinstance(trigger.counts, Grid)
-    over = trigger.end is not None and (
-        tracker.value_0 > trigger.end if trigger.rising else tracker.value_0 < trigger.end
-    )
-    if over:
-        return replace(trigger, counts=Points(()))
-    return replace(trigger, counts=Grid(tracker.value_0, trigger.counts.step))
+    last = armed.runs[-1].expected if armed.runs else None
+    if last is not None and len(last.fired):  # the drive has not yet reported all of it
+        assert isinstance(trigger.counts, Grid)
+        step = trigger.counts.step if trigger.rising else -trigger.counts.step
+        return trigger.going_on_at(int(last.fired.count[-1]) + step)
+    return trigger.going_on_at(tracker.value_0)

@@ -124,6 +124,7 @@ class ProfileAxes:
         self.events: deque[tuple[str, str]] = deque()  # (kind, text), as the group's
         self.deadline_us = math.inf
         self.reason = ""
+        self.start_us = -math.inf  # the SYNC that started the last move
         self._now_us = -math.inf
         self._phase_us = -math.inf
         self._sync_us = -math.inf
@@ -158,6 +159,7 @@ class ProfileAxes:
             for axis in self._taking_part():
                 assert axis.move is not None
                 axis.demand = Demand(axis.move.path(t_us))
+            self.start_us = t_us
             self._enter(Phase.STARTING, t_us)
 
     def _on_frame(self, axis: ProfileAxis, frame: Frame, t_us: float) -> None:
@@ -324,7 +326,12 @@ class ProfileAxes:
                 self.outbox.append(axis.controlword(controlword))
                 axis.told = (axis.state, self._now_us)
         if waiting:
-            where = "; ".join(f"{axis} is in {axis.state.value}" for axis in waiting)
+            where = "; ".join(
+                f"{axis} has not answered SYNC"
+                if axis.state is target
+                else f"{axis} is in {axis.state.value}"
+                for axis in waiting
+            )
             self._limit(STOP_TIMEOUT_US, f"{self.phase.value}: {where}")
             return
         after = Phase.STANDING if self.phase is Phase.ENABLING else Phase.DISABLED
@@ -337,6 +344,8 @@ class ProfileAxes:
             return axis.state not in (State.FAULT, State.FAULT_REACTION_ACTIVE)
         if self.phase is Phase.DISABLING and axis.state is State.FAULT:
             return True  # its power stage is off
+        if self.phase is Phase.ENABLING and axis.sample_us <= self._phase_us:
+            return False  # where it stands is known from the next SYNC on
         return axis.state is target
 
     # ------------------------------------------------------------------ moves

@@ -155,7 +155,8 @@ class Timekeeper:
         if self._unstamped_us == math.inf:
             return
         clock = self.clock
-        clock.on_sync(self._unstamped_us, self._latched)
+        if self._axes:  # else there is no clock to keep
+            clock.on_sync(self._unstamped_us, self._latched)
         self._unstamped_us = math.inf
         if self._begins_path:
             clock.keep()

@@ -1,0 +1,166 @@
+"""What outputs will fire in a motion: known before it runs, held against what they report after.
+
+It looks at what the axes follow, whoever has told them: a reference that is new or has changed, a
+move that has been prepared. Predicting a reference takes a while, so a thread of its own does it, a
+piece at a time; everything else happens in the reactor's thread.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
+
+import numpy as np
+
+from epos2_ros.bus.reactor import Reactor
+from epos2_ros.motion.compare import predict
+from epos2_ros.motion.crossings import Path
+from epos2_ros.motion.foresight import Foresight
+from epos2_ros.motion.reference import Reference
+from epos2_ros.motion.stream import Stream
+from epos2_ros.motion.trapezoid import Trapezoid
+from epos2_ros.protocol.group import IN_MOTION, Group, Phase
+from epos2_ros.protocol.outputs import Outputs
+from epos2_ros.protocol.profile_axes import IN_MOTION as IN_PROFILE_MOTION
+from epos2_ros.protocol.profile_axes import Phase as ProfilePhase
+from epos2_ros.protocol.profile_axes import ProfileAxes
+
+PIECE_MS = 10_000
+
+
+class Predictor:
+    """`warn` gets the lines to be said before a motion; from any thread."""
+
+    def __init__(
+        self,
+        joints: Sequence[str],
+        group: Group,
+        profile: ProfileAxes,
+        outputs: Outputs,
+        reactor: Reactor,
+        warn: Callable[[str], None],
+    ) -> None:
+        self._group = group
+        self._profile = profile
+        self._outputs = outputs
+        self._reactor = reactor
+        self._warn = warn
+        self._in_group = [joints.index(axis.joint) for axis in group.axes]
+        self._in_profile = [joints.index(axis.joint) for axis in profile.axes]
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="prediction")
+        self._motion: Future[None] | None = None  # of the group; None: it stands
+        self._reference: Reference | None = None  # that it follows, or has followed last
+        self._moves: list[Trapezoid | None] = []  # that are under way; []: they stand
+        # The predicting thread's own: by output, of the motion in progress.
+        self._foresights: dict[str, tuple[int, Foresight]] = {}
+        self._until_ms = 0
+
+    def close(self) -> None:
+        """Give up what is being predicted."""
+        self._reference = None
+        self._thread.shutdown(cancel_futures=True)
+
+    def watch(self, now_us: float) -> None:
+        """Look whether a motion has begun or is over, and right after what the group follows has
+        changed: what is committed to the drives then stays as it was."""
+        self._watch_group(now_us)
+        self._watch_profile(now_us)
+
+    # ------------------------------------------------------------------ trajectories
+
+    def _watch_group(self, now_us: float) -> None:
+        group = self._group
+        motion, before = group.motion if group.phase in IN_MOTION else None, self._motion
+        reference = group.feeder.reference
+        if motion is not before and before is not None:
+            arrived = group.phase is Phase.STANDING
+            self._finish(self._in_group, group.start_us if arrived else None, now_us)
+        self._motion = motion
+        if motion is None or reference is self._reference:
+            return
+        assert reference is not None
+        self._reference = reference
+        if motion is before:  # the same up to the end of what is committed
+            self._thread.submit(self._extend, reference, group.feeder.committed_ms)
+        else:
+            self._begin(reference)
+
+    def _begin(self, reference: Reference) -> None:
+        foresights = {}
+        for column, axis in enumerate(self._in_group):
+            self._outputs.begin(axis)
+            for name, trigger in self._outputs.triggers(axis).items():
+                foresights[name] = column, Foresight(trigger, reference.units[column])
+        self._thread.submit(self._predict, reference, foresights)
+
+    def _predict(self, reference: Reference, foresights: dict[str, tuple[int, Foresight]]) -> None:
+        self._foresights, self._until_ms = foresights, 0
+        self._extend(reference, 0)
+
+    def _extend(self, reference: Reference, from_ms: int) -> None:
+        """From there on the motion goes along `reference`."""
+        if from_ms > self._until_ms:  # there is a gap: no prediction of this motion
+            self._foresights = {}
+            for axis in self._in_group:
+                self._reactor.post(partial(self._outputs.forget, axis))
+        if not self._foresights:
+            return
+        self._until_ms = from_ms
+        for _, foresight in self._foresights.values():
+            foresight.forget(1000.0 * from_ms)
+        while self._until_ms < reference.end_ms:
+            k = np.arange(self._until_ms, min(self._until_ms + PIECE_MS, reference.end_ms) + 1)
+            positions, velocities = reference.positions(k), reference.velocities(k)
+            t_us = 1000.0 * k.astype(np.float64)
+            for column, foresight in self._foresights.values():
+                foresight.extend(Path(t_us, positions[:, column], velocities[:, column]))
+            self._until_ms = int(k[-1])
+            if self._reference is not reference:
+                return  # it has changed in the meantime
+        predictions = {name: f.prediction() for name, (_, f) in self._foresights.items()}
+        self._reactor.post(partial(self._outputs.expect, predictions))
+        if not isinstance(reference.motions[-1], Stream):  # whose end is always a moment ahead
+            for name, prediction in predictions.items():
+                for warning in prediction.warnings:
+                    self._warn(f"compare.{name}: {warning}")
+
+    # ------------------------------------------------------------------ moves
+
+    def _watch_profile(self, now_us: float) -> None:
+        profile = self._profile
+        moving = profile.phase in IN_PROFILE_MOTION
+        if moving and not self._moves:
+            self._moves = [axis.move for axis in profile.axes]
+            for axis, move in zip(self._in_profile, self._moves, strict=True):
+                if move is not None:
+                    self._begin_move(axis, move)
+        elif self._moves and not moving:
+            axes = zip(self._in_profile, self._moves, strict=True)
+            moved = [axis for axis, move in axes if move is not None]
+            arrived = profile.phase is ProfilePhase.STANDING
+            self._finish(moved, profile.start_us if arrived else None, now_us)
+            self._moves = []
+
+    def _begin_move(self, axis: int, move: Trapezoid) -> None:
+        self._outputs.begin(axis)
+        units, path = self._outputs.units[axis], move.path(0.0)
+        predictions = {
+            name: predict(trigger, path, units)
+            for name, trigger in self._outputs.triggers(axis).items()
+        }
+        self._outputs.expect(predictions)
+        for name, prediction in predictions.items():
+            for warning in prediction.warnings:
+                self._warn(f"compare.{name}: {warning}")
+
+    # ------------------------------------------------------------------ the end
+
+    def _finish(self, axes: Sequence[int], start_us: float | None, now_us: float) -> None:
+        """The motion of these axes is over, at the end that was predicted if `start_us` is set."""
+        for axis in axes:
+            if start_us is None:
+                self._outputs.forget(axis)
+            else:
+                delay_us = self._outputs.watches[axis].executed.delay_us
+                self._outputs.finished(axis, start_us + delay_us, now_us)
