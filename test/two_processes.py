@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -64,15 +64,13 @@ class Rig:
             AxisConfig(joint, node, type="prismatic", lead=LEAD)
             for node, joint in enumerate(SCAN.joint_names, start=1)
         )
-        config = DriverConfig(
-            axes=axes,
-            interface=interface,
-            channel=channel,
-            simulate=False,
-            buffer_time=2.0,  # a busy test machine is no real-time one, …
-            state_rate=10.0,  # … and under user-mode Linux a frame costs a millisecond
-            **settings,  # type: ignore[arg-type]
-        )
+        settings = {
+            "simulate": False,
+            "buffer_time": 2.0,  # a busy test machine is no real-time one, …
+            "state_rate": 10.0,  # … and under user-mode Linux a frame costs a millisecond
+            **settings,
+        }
+        config = DriverConfig(axes=axes, interface=interface, channel=channel, **settings)  # type: ignore[arg-type]
         self.driver = Driver(config, self.events.append)
 
     def snapshot(self) -> Snapshot:
@@ -92,10 +90,14 @@ class Rig:
 
     def go_back(self) -> Snapshot:
         """From wherever the axes stand to where the example begins."""
+        return self.go_to(SCAN.positions[0])
+
+    def go_to(self, target_m: Sequence[float] | np.ndarray) -> Snapshot:
+        """From wherever the axes stand, in two seconds."""
         here = [axis.position for axis in self.snapshot().axes]
-        positions = np.array([here, SCAN.positions[0]])
+        positions = np.array([here, target_m])
         snapshot = self._run(Trajectory(SCAN.joint_names, np.array([0.0, 2.0]), positions))
-        for axis, wanted in zip(snapshot.axes, SCAN.positions[0], strict=True):
+        for axis, wanted in zip(snapshot.axes, target_m, strict=True):
             assert axis.executed_qc == round(wanted * QC_PER_M)
         return snapshot
 

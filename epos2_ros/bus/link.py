@@ -11,6 +11,7 @@ import logging
 import threading
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from typing import Any
 
@@ -217,7 +218,8 @@ class Link:
         if not self._closing:
             self.failed = self._closing = True
             self._receiver.join()
-            self._bus.shutdown()
+            with suppress(can.CanError, OSError):  # what is gone can't be told to close
+                self._bus.shutdown()
 
 
 def open_bus(interface: str, channel: str, bitrate: int, echoes: bool = True) -> can.BusABC:
