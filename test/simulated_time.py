@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 
-from epos2_ros.bus.bringup import Epos2Node
+from epos2_ros.bus.epos2 import Epos2Node
 from epos2_ros.bus.link import Network
 from epos2_ros.bus.settings import axis_setup, drive_settings, group_settings
 from epos2_ros.bus.transmitter import Transmitter

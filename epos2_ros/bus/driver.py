@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple, TypeVar
 
-from epos2_ros.bus.bringup import Epos2Node
 from epos2_ros.bus.copley_axes import CopleyAxes
+from epos2_ros.bus.epos2 import Epos2Node
 from epos2_ros.bus.health import BusState, Health
 from epos2_ros.bus.link import Link, open_bus
 from epos2_ros.bus.output_service import OutputService

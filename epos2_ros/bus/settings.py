@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from epos2_ros.bus.bringup import Epos2Settings
+from epos2_ros.bus.epos2 import Epos2Settings
 from epos2_ros.config import AxisConfig, DriverConfig
 from epos2_ros.motion.fit import FitAxis
 from epos2_ros.motion.units import AxisUnits, drive_limits

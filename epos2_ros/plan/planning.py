@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from epos2_ros.bus.bringup import BUFFER_STATUS_INHIBIT_US, DRIVE_HEARTBEAT_MS
+from epos2_ros.bus.cia402_node import DRIVE_HEARTBEAT_MS
+from epos2_ros.bus.epos2 import BUFFER_STATUS_INHIBIT_US
 from epos2_ros.bus.settings import axis_setup, drive_settings, group_settings
 from epos2_ros.bus.transmitter import worst_case_bits
 from epos2_ros.config import AxisConfig, DriverConfig
