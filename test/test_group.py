@@ -145,6 +145,27 @@ def test_a_start_at_a_given_time_is_on_that_time():
     assert_on_path(made)
 
 
+@pytest.mark.parametrize("late_us", [0.0, 300.0, 2000.0])
+def test_how_late_a_start_at_a_given_time_was_is_told(late_us):
+    """By a host's thread that wakes up late; by its clock, in which the time was given."""
+    made = bench()
+    made.late_us = lambda: late_us
+    ahead_us = 12_345.0
+    made.stamp_us = lambda t_us: t_us + ahead_us
+    at_us = made.now_us + 437_000.0
+    made.path.submit(there_and_back(), at_us, made.now_us)
+    assert made.group.start_error_us is None
+    made.wait(made.group.motion)
+    began_us = made.drives[0].ip_start_us
+    assert late_us <= began_us - at_us <= 2 * late_us + 100
+    assert made.group.start_error_us == pytest.approx(began_us + ahead_us - at_us)
+    error_us = began_us + ahead_us - at_us
+    (text,) = [event.text for event in made.events if event.kind == "started"]
+    assert text == f"6 axes started on one SYNC, {error_us:.0f} us after the time asked for"
+    run_motion(made)
+    assert made.group.start_error_us is None  # as soon as possible is no given time
+
+
 def test_no_drive_moves_when_one_does_not_become_active():
     class Deaf(Epos2):
         def receive(self, can_id, data, t_us, remote=False):

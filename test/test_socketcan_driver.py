@@ -86,7 +86,9 @@ def test_a_trajectory_runs_on_drives_in_another_process(vcan: str, drives: Drive
     tap = Tap(vcan)
     with rig("socketcan", vcan) as made:
         assert made.snapshot().sync_time_source.startswith("echo, system clock")
-        snapshot = made.scan()
+        at_s = time.time() + 1.0
+        asked_us = 1e6 * (at_s + time.monotonic() - time.time())
+        snapshot = made.scan(at_s)
         assert [event.kind for event in made.events] == ["started", "done"]
         assert_every_record_arrived(tap, made)
         assert snapshot.dropped_frames == snapshot.error_frames == 0
@@ -97,7 +99,9 @@ def test_a_trajectory_runs_on_drives_in_another_process(vcan: str, drives: Drive
             assert abs(axis.clock_drift_ppm) <= 200
         made.driver.disable()
         assert {axis.state for axis in made.snapshot().axes} == {"ready to switch on"}
-    assert_executed(drives.close())
+    began_us = assert_executed(drives.close())
+    assert snapshot.start_error_us is not None
+    assert 0 <= snapshot.start_error_us == pytest.approx(began_us - asked_us, abs=1000)
 
 
 def test_a_full_transmit_queue_loses_and_reorders_nothing(slow_vcan: str, drives: Drives) -> None:

@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -84,9 +85,9 @@ class Rig:
             time.sleep(0.05)
         return snapshot
 
-    def scan(self) -> Snapshot:
-        """Run the example from rest to its end."""
-        return self._run(SCAN)
+    def scan(self, at_s: float | None = None) -> Snapshot:
+        """Run the example from rest to its end, from the wall-clock time `at_s` on."""
+        return self._run(replace(SCAN, stamp_s=at_s))
 
     def go_back(self) -> Snapshot:
         """From wherever the axes stand to where the example begins."""
@@ -138,8 +139,8 @@ def commanded_qc(t_ms: np.ndarray) -> np.ndarray:
     return result * QC_PER_M
 
 
-def assert_executed(log: dict[str, np.ndarray], tolerance_qc: float = 1.0) -> None:
-    """Both drives were on the commanded curve at each millisecond, and started as one."""
+def assert_executed(log: dict[str, np.ndarray], tolerance_qc: float = 1.0) -> float:
+    """Both drives were on the commanded curve at each millisecond, and started as one: when."""
     starts = set()
     for joint, node in enumerate((1, 2)):
         path_ms = log[f"node_{node}_path_ms"]
@@ -150,3 +151,4 @@ def assert_executed(log: dict[str, np.ndarray], tolerance_qc: float = 1.0) -> No
         assert error.max() <= tolerance_qc, f"node {node} at {path_ms[error.argmax()]} ms"
         starts.add(log[f"node_{node}_time_us"][begin])
     assert len(starts) == 1
+    return starts.pop()

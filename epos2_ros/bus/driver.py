@@ -108,6 +108,7 @@ class Snapshot:
     bus_state: str = BusState.ACTIVE.value  # of the CAN controller, as far as it tells
     transmit_errors: int = 0  # the controller's counters
     receive_errors: int = 0
+    start_error_us: float | None = None  # of the last start at a given time
     outputs: tuple[OutputSnapshot, ...] = ()
 
 
@@ -368,6 +369,7 @@ class Driver:
             bus_state=health.state.value,
             transmit_errors=health.transmit_errors,
             receive_errors=health.receive_errors,
+            start_error_us=self._group.start_error_us,
         )
 
     def _axis_snapshot(self, index: int, path_ms: float | None) -> AxisSnapshot:

@@ -145,6 +145,7 @@ def _bus_of(snapshot: Snapshot, node: str, channel: str) -> DiagnosticStatus:
                 "transmit queue full": str(snapshot.refused_frames),
                 "SYNC count": str(snapshot.sync_count),
                 "SYNC time from": snapshot.sync_time_source,
+                "last start late by [us]": _given(snapshot.start_error_us, ".0f"),
             }
         ),
     )

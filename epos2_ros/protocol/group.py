@@ -319,6 +319,13 @@ class Group:
             return self.start_us
         return self._planned_start_us or now_us
 
+    @property
+    def start_error_us(self) -> float | None:
+        """How much after the time asked for the last motion began; None: none was asked for."""
+        if self.start_us is None or self._planned_start_us is None:
+            return None
+        return self.start_us - self._planned_start_us
+
     def announce(self, kind: str, text: str) -> None:
         """Add an event for the log."""
         self.events.append(Event(kind, text))
@@ -514,7 +521,10 @@ class Group:
         inactive = [axis for axis in self.axes if not axis.ip_active]
         if not inactive:
             self._enter(Phase.MOVING)
-            self.events.append(Event("started", f"{len(self.axes)} axes started on one SYNC"))
+            text = f"{len(self.axes)} axes started on one SYNC"
+            if self.start_error_us is not None:
+                text += f", {self.start_error_us:.0f} us after the time asked for"
+            self.events.append(Event("started", text))
             self._move()
         elif self._now_us > self.start_us + ACTIVE_TIMEOUT_US:
             names = ", ".join(f"{axis} ({axis.state.value})" for axis in inactive)
