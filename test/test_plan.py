@@ -521,7 +521,7 @@ def test_the_start_has_a_position_for_each_joint(command):
 def test_one_drawing_is_of_one_trajectory(command):
     ended = command("-", "--csv", "records.csv", stdin=f"{message()}---\n{message()}")
     assert ended.status == 1
-    assert "--output and --csv take one trajectory" in ended.err
+    assert "--output, --csv and --events take one trajectory" in ended.err
     assert command("-", "--csv", "records.csv", stdin=f"{message()}---\n").status == 0
 
 

@@ -16,9 +16,8 @@ from epos2_ros.bus.sdo_jobs import write_all
 from epos2_ros.bus.timestamps import now_us
 from epos2_ros.bus.worker import Worker
 from epos2_ros.config import AxisConfig
-from epos2_ros.errors import DriveError, TrajectoryError
-from epos2_ros.motion.trapezoid import Trapezoid, in_step
-from epos2_ros.motion.units import AxisUnits
+from epos2_ros.errors import DriveError
+from epos2_ros.motion.move import moves
 from epos2_ros.protocol.frame import Frame
 from epos2_ros.protocol.profile_axes import ProfileAxes
 from epos2_ros.protocol.sdo import SdoWrite
@@ -35,7 +34,6 @@ class CopleyAxes:
         self.protocol = ProfileAxes([(axis.joint, axis.node_id) for axis in configs])
         self.nodes: list[CopleyNode] = []
         self._settings = [CopleySettings.of(axis) for axis in configs]
-        self._units = [AxisUnits.of(axis) for axis in configs]
         self._worker = worker
         self._reactor = reactor
 
@@ -54,43 +52,9 @@ class CopleyAxes:
         As fast as the slowest axis can, or in `duration_s` if that is longer. TrajectoryError for
         a joint that is not one of these, a target outside the limits, or axes that don't stand.
         """
-        moves: dict[str, Trapezoid] = {}
-        for joint, target in targets.items():
-            moves[joint] = self._move(joint, target)
-        together = dict(zip(moves, in_step(list(moves.values()), duration_s), strict=True))
+        standing = {axis.joint: axis.position_qc for axis in self.protocol.axes}
+        together = moves(self.configs, standing, targets, duration_s)
         return self.protocol.move([together.get(axis.joint) for axis in self.protocol.axes])
-
-    def _move(self, joint: str, target: float) -> Trapezoid:
-        places = {axis.joint: n for n, axis in enumerate(self.configs)}
-        if joint not in places:
-            raise TrajectoryError(
-                f"joint '{joint}' does not move in profile position mode; those that do are "
-                f"{', '.join(places) or 'none'}",
-                TrajectoryError.INVALID_JOINTS,
-            )
-        config, units = self.configs[places[joint]], self._units[places[joint]]
-        low, high = units.position_range
-        low = low if config.min_position is None else max(low, config.min_position)
-        high = high if config.max_position is None else min(high, config.max_position)
-        if not low <= target <= high:
-            raise TrajectoryError(
-                f"joint '{joint}': position {target:g} {units.unit} is outside its limits "
-                f"{low:g} … {high:g} {units.unit}"
-            )
-        missing = "max_velocity" if config.max_velocity is None else "max_acceleration"
-        if config.max_velocity is None or config.max_acceleration is None:
-            raise TrajectoryError(
-                f"axes.{joint}.{missing} is not set; a move in profile position mode needs it"
-            )
-        standing = self.protocol.axes[places[joint]].position_qc
-        if standing is None:
-            raise TrajectoryError(f"joint '{joint}': its drive has not said where it stands")
-        return Trapezoid(
-            float(standing),
-            units.to_qc(target),
-            abs(units.to_qc_s(config.max_velocity)),
-            abs(units.to_qc_s(config.max_acceleration)),
-        )
 
     # ------------------------------------------------------------------ frames and time
 

@@ -34,6 +34,7 @@ from epos2_ros.errors import (
     MotionAborted,
     TrajectoryError,
 )
+from epos2_ros.motion.move import refuse_trajectory
 from epos2_ros.motion.reference import Reference
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.motion.units import AxisUnits
@@ -260,13 +261,7 @@ class Driver:
 
     def submit(self, trajectory: Trajectory) -> None:
         """Run a trajectory, or stop on the path if it has no points. TrajectoryError: refused."""
-        for axis in self._copley.configs:
-            if axis.joint in trajectory.joint_names:
-                raise TrajectoryError(
-                    f"joint '{axis.joint}' can't follow a trajectory: its Copley drive moves in "
-                    "profile position mode, by ~/move_to",
-                    TrajectoryError.INVALID_JOINTS,
-                )
+        refuse_trajectory(self._copley.configs, trajectory.joint_names)
         if not len(trajectory.times_s):
             self._reactor.call(self._stop_path)
             return

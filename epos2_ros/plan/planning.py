@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +19,15 @@ from epos2_ros.bus.epos2 import BUFFER_STATUS_INHIBIT_US
 from epos2_ros.bus.settings import axis_setup, drive_settings, group_settings
 from epos2_ros.bus.transmitter import worst_case_bits
 from epos2_ros.config import AxisConfig, DriverConfig
+from epos2_ros.motion.crossings import Path
 from epos2_ros.motion.limits import Limits
+from epos2_ros.motion.move import refuse_trajectory
 from epos2_ros.motion.pvt import Executed, executed, segments
 from epos2_ros.motion.record import Record
 from epos2_ros.motion.reference import Reference
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.motion.units import AxisUnits
+from epos2_ros.plan.outputs import OutputPlans
 from epos2_ros.protocol import epos2
 from epos2_ros.protocol.group import Group, Phase
 from epos2_ros.protocol.path import PathCommander
@@ -57,6 +60,12 @@ class AxisPlan:
         """Executed position, velocity or acceleration at every millisecond, in joint units."""
         drive = np.asarray(self.executed[order], dtype=np.float64)
         return self.units.from_qc_s(drive) if order else self.units.from_qc(drive)
+
+    @property
+    def path(self) -> Path:
+        """What its drive executes."""
+        position, velocity = (column.astype(np.float64) for column in self.executed[:2])
+        return Path(1000.0 * np.arange(len(position), dtype=np.float64), position, velocity)
 
     @property
     def peaks(self) -> tuple[float, float]:
@@ -102,6 +111,7 @@ class Plan:
     axes: tuple[AxisPlan, ...]
     load: BusLoad
     latency: Latency
+    outputs: OutputPlans
 
     @property
     def duration_s(self) -> float:
@@ -129,6 +139,9 @@ def make_plan(trajectory: Trajectory, config: DriverConfig, start: Sequence[floa
     Raises what the driver raises: ConfigurationError for a wrong parameter, TrajectoryError for a
     trajectory that is refused.
     """
+    beside = [axis for axis in config.axes if axis.drive != "epos2"]
+    refuse_trajectory(beside, trajectory.joint_names)
+    whole, config = config, replace(config, axes=tuple(a for a in config.axes if a not in beside))
     group = Group([axis_setup(axis) for axis in config.axes], group_settings(config))
     commander = PathCommander(group, config)
     for axis in config.axes:
@@ -167,6 +180,7 @@ def make_plan(trajectory: Trajectory, config: DriverConfig, start: Sequence[floa
         axes,
         _bus_load(config, axes, np.array(sent_ms), reference.end_ms),
         _latency(config, ready_us),
+        OutputPlans.of(whole, {axis.config.joint: axis.path for axis in axes}),
     )
 
 

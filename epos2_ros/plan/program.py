@@ -16,6 +16,8 @@ from epos2_ros.files import read_parameters, read_trajectories, shipped_paramete
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.parameters import AXIS, DriverParameters
 from epos2_ros.plan import report
+from epos2_ros.plan.move import make_move_plan
+from epos2_ros.plan.outputs import OutputPlans, write_csv
 from epos2_ros.plan.planning import make_plan
 
 DRAWINGS = (".png", ".svg", ".html")
@@ -51,8 +53,10 @@ def run(arguments: argparse.Namespace) -> None:
                 raise Epos2RosError(
                     f"{name} has no points: the driver would stop on the path, nothing to plan"
                 )
-            if number and (arguments.output or arguments.csv):
-                raise Epos2RosError(f"{name} goes on: --output and --csv take one trajectory")
+            if number and (arguments.output or arguments.csv or arguments.events):
+                raise Epos2RosError(
+                    f"{name} goes on: --output, --csv and --events take one trajectory"
+                )
             if number:
                 print()
             _plan(trajectory, name, arguments)
@@ -60,12 +64,10 @@ def run(arguments: argparse.Namespace) -> None:
 
 def _plan(trajectory: Trajectory, name: str, arguments: argparse.Namespace) -> None:
     config, source = _parameters(trajectory, arguments.params)
-    start = trajectory.positions[0].tolist() if arguments.start is None else arguments.start
-    if len(start) != len(trajectory.joint_names):
-        raise Epos2RosError(
-            f"--start has {len(start)} positions for {len(trajectory.joint_names)} joints"
-        )
-    plan = make_plan(trajectory, config, start)
+    if _moves(trajectory, config):
+        _plan_move(trajectory, name, source, config, arguments)
+        return
+    plan = make_plan(trajectory, config, _start(trajectory, arguments))
     where = "point 0 is" if arguments.start is None else "--start says"
     stamp = "" if trajectory.stamp_s is None else "; header.stamp does not count here"
     heading = (
@@ -76,6 +78,7 @@ def _plan(trajectory: Trajectory, name: str, arguments: argparse.Namespace) -> N
         f"start: at once, from rest where {where}{stamp}"
     )
     print(f"{name}: {heading}\n\n{report.text(plan)}", flush=True)
+    _write_events(plan.outputs, arguments.events)
     if arguments.csv is not None:
         with arguments.csv.open("w", encoding="utf-8", newline="") as file:
             report.write_csv(plan, file)
@@ -87,6 +90,47 @@ def _plan(trajectory: Trajectory, name: str, arguments: argparse.Namespace) -> N
             arguments.output.write_text(page, encoding="utf-8")
         else:
             plot.save(plan, name, arguments.output)
+
+
+def _moves(trajectory: Trajectory, config: DriverConfig) -> bool:
+    """Whether it is a message for `~/move_to`."""
+    beside = {axis.joint for axis in config.axes if axis.drive == "copley"}
+    return len(trajectory.times_s) == 1 and set(trajectory.joint_names) <= beside
+
+
+def _plan_move(
+    trajectory: Trajectory,
+    name: str,
+    source: str,
+    config: DriverConfig,
+    arguments: argparse.Namespace,
+) -> None:
+    if arguments.start is None:
+        raise Epos2RosError(f"{name} is a move: --start has to say where the joints stand")
+    if arguments.csv is not None or arguments.output is not None:
+        raise Epos2RosError(f"{name} is a move: it has no records to write or draw")
+    plan = make_move_plan(trajectory, config, _start(trajectory, arguments))
+    print(
+        f"{name}: a move (~/move_to), joints {', '.join(trajectory.joint_names)}\n"
+        f"parameters: {source}\n\n{report.move_text(plan)}",
+        flush=True,
+    )
+    _write_events(plan.outputs, arguments.events)
+
+
+def _start(trajectory: Trajectory, arguments: argparse.Namespace) -> list[float]:
+    start = trajectory.positions[0].tolist() if arguments.start is None else arguments.start
+    if len(start) != len(trajectory.joint_names):
+        raise Epos2RosError(
+            f"--start has {len(start)} positions for {len(trajectory.joint_names)} joints"
+        )
+    return list(start)
+
+
+def _write_events(plans: OutputPlans, path: Path | None) -> None:
+    if path is not None:
+        with path.open("w", encoding="utf-8", newline="") as file:
+            write_csv(plans.outputs, file)
 
 
 def _parameters(trajectory: Trajectory, file: Path | None) -> tuple[DriverConfig, str]:
@@ -105,7 +149,8 @@ def _arguments(argv: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="epos2_ros plan",
         description="What the driver would make of a trajectory: the records of each axis, their "
-        "error and extremes, the load of the bus. Needs neither a bus nor ROS.",
+        "error and extremes, what position-triggered outputs fire, the load of the bus. One point "
+        "for joints on Copley drives is a move (~/move_to). Needs neither a bus nor ROS.",
     )
     parser.add_argument(
         "trajectory",
@@ -135,6 +180,12 @@ def _arguments(argv: Sequence[str]) -> argparse.Namespace:
         help=f"draw the curves, errors and knots; {', '.join(DRAWINGS)}",
     )
     parser.add_argument("--csv", type=Path, metavar="FILE", help="write the records")
+    parser.add_argument(
+        "--events",
+        type=Path,
+        metavar="FILE",
+        help="write every crossing of the position-triggered outputs, as CSV",
+    )
     return parser.parse_args(without_ros_arguments(argv))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+from collections.abc import Sequence
 from html import escape
 from typing import TextIO
 
@@ -11,6 +12,9 @@ import numpy as np
 
 from epos2_ros.bus.settings import ACCELERATION_HEADROOM, VELOCITY_HEADROOM
 from epos2_ros.motion.limits import RELATIVE_SLACK
+from epos2_ros.plan import move, outputs
+from epos2_ros.plan.move import MovePlan
+from epos2_ros.plan.outputs import OutputPlans
 from epos2_ros.plan.planning import AxisPlan, Plan
 from epos2_ros.protocol.epos2 import RPDO1
 
@@ -18,6 +22,7 @@ HEADINGS = (
     *("axis", "records", "per s", "error [qc]", "position from", "to", "allowed"),
     *("velocity", "allowed", "acceleration", "allowed"),
 )
+Row = tuple[str, ...]
 BEYOND = "*"  # marks what is beyond a limit of the joint
 BEYOND_NOTE = (
     f"{BEYOND} beyond the limit, which the commanded curve keeps: records are rounded; drives "
@@ -29,25 +34,44 @@ CSV_COLUMNS = ("joint", "record", "path_ms", "position_qc", "velocity", "time_ms
 
 def text(plan: Plan) -> str:
     """For a terminal, section by section."""
-    table = [HEADINGS, *rows(plan)]
-    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
-    name_width = max(len(name) for name, _ in figures(plan))
-    sections = (
-        [_line(row, widths) for row in table] + notes(plan),
-        [f"{name:{name_width}}  {value}" for name, value in figures(plan)],
+    return _sections(
+        _table(HEADINGS, rows(plan)) + notes(plan), plan.outputs, _listed(figures(plan))
     )
-    return "\n\n".join("\n".join(lines) for lines in sections)
+
+
+def move_text(plan: MovePlan) -> str:
+    """Likewise, of a move in profile position mode."""
+    return _sections(_table(move.HEADINGS, plan.rows), plan.outputs, _listed(plan.figures))
+
+
+def _sections(axes: list[str], plans: OutputPlans, group: list[str]) -> str:
+    fired = _table(outputs.HEADINGS, plans.rows) if plans.outputs else []
+    sections = (axes, fired + plans.notes, group)
+    return "\n\n".join("\n".join(lines) for lines in sections if lines)
+
+
+def _table(headings: Row, rows: Sequence[Row]) -> list[str]:
+    table = [headings, *rows]
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+    return [_line(row, widths) for row in table]
+
+
+def _listed(figures: Sequence[tuple[str, str]]) -> list[str]:
+    width = max(len(name) for name, _ in figures)
+    return [f"{name:{width}}  {value}" for name, value in figures]
 
 
 def page(plan: Plan, title: str, source: str, drawing: str) -> str:
     """The same as a web page that needs nothing else; `drawing` is SVG."""
-    table = [_html_row("th", HEADINGS), *(_html_row("td", row) for row in rows(plan))]
+    table = _html_table(HEADINGS, rows(plan))
+    if plan.outputs.outputs:
+        table += _html_table(outputs.HEADINGS, plan.outputs.rows)
     group = (f"<dt>{escape(name)}</dt><dd>{escape(value)}</dd>" for name, value in figures(plan))
     return _PAGE.format(
         title=escape(title),
         source="<br>\n".join(map(escape, source.splitlines())),
-        table="\n".join(table),
-        notes="\n".join(f"<p>{escape(note)}</p>" for note in notes(plan)),
+        table=table,
+        notes="\n".join(f"<p>{escape(note)}</p>" for note in [*notes(plan), *plan.outputs.notes]),
         group="\n".join(group),
         drawing=drawing[drawing.index("<svg") :],
     )
@@ -149,6 +173,11 @@ def _line(row: tuple[str, ...], widths: list[int]) -> str:
     return "  ".join((f"{name:{widths[0]}}", *numbers)).rstrip()
 
 
+def _html_table(headings: Row, rows: Sequence[Row]) -> str:
+    lines = [_html_row("th", headings), *(_html_row("td", row) for row in rows)]
+    return "\n".join(["<table>", *lines, "</table>\n"])
+
+
 def _html_row(tag: str, row: tuple[str, ...]) -> str:
     return f"<tr>{''.join(f'<{tag}>{escape(cell)}</{tag}>' for cell in row)}</tr>"
 
@@ -171,9 +200,7 @@ svg {{ width: 100%; height: auto; }}
 </style>
 <h1>{title}</h1>
 <p>{source}</p>
-<table>
 {table}
-</table>
 {notes}
 <dl>
 {group}

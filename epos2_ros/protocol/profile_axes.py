@@ -270,7 +270,7 @@ class ProfileAxes:
         self.reason = ""
         self._motion = Future()
         for index, (axis, move) in enumerate(zip(self.axes, moves, strict=True)):
-            axis.move = _as_written(move) if move and move.start != move.end else None
+            axis.move = as_written(move) if move and move.start != move.end else None
             if axis.move:
                 self._unwritten.add(index)
                 self.writing.append((index, setpoint(axis.move)))
@@ -508,7 +508,7 @@ def setpoint(move: Trapezoid) -> list[SdoWrite]:
     ]
 
 
-def _as_written(move: Trapezoid) -> Trapezoid:
+def as_written(move: Trapezoid) -> Trapezoid:
     """The move as the drive makes it of whole units."""
     return Trapezoid(
         float(round(move.start)),
