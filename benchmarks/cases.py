@@ -23,6 +23,8 @@ from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.motion.units import AxisUnits
 from epos2_ros.parameters import DriverParameters
 
+Array = NDArray[np.float64]
+
 EXAMPLES = ("pick_place", "jerk_limited", "positions_only", "raster_scan")
 GEAR_RATIO = 100.0  # of planned trajectories' axes, as in config/arm.yaml
 
@@ -57,10 +59,13 @@ class Case:
         return self.reference.end_ms / 1000
 
     @cached_property
-    def commanded(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Position [qc] and velocity [qc/s] at k = 0 … end [ms], each [end + 1, axes]."""
+    def curves(self) -> list[tuple[Array, Array, float]]:
+        """Per axis the commanded position [qc] and velocity [qc/s] at k = 0 … end [ms], and the
+        drive's velocity unit [qc/s]."""
         k = np.arange(self.reference.end_ms + 1)
-        return self.reference.positions(k), self.reference.velocities(k)
+        positions, velocities = self.reference.positions(k).T, self.reference.velocities(k).T
+        units = [units.velocity_unit_qc_s for units in self.units]
+        return list(zip(positions, velocities, units, strict=True))
 
     def records(self, tolerance_qc: float, smoothness: float = 0.0) -> list[list[Record]]:
         """What the driver sends to each axis, the record that ends the motion included."""

@@ -80,12 +80,7 @@ class PvtGrid:
     """Rounded PVT records."""
 
     def __init__(self, case: Case) -> None:
-        self._axes = [
-            (position, velocity, units.velocity_unit_qc_s)
-            for position, velocity, units in zip(
-                *(values.T for values in case.commanded), case.units, strict=True
-            )
-        ]
+        self._axes = case.curves
         self.errors = np.array([pvt_errors(*axis) for axis in self._axes])
 
     def payloads(self, spacings_ms: Sequence[int]) -> list[list[bytes]]:
@@ -99,7 +94,7 @@ class Linear:
     """Rounded set-points between which the drive interpolates linearly."""
 
     def __init__(self, case: Case) -> None:
-        self._positions = case.commanded[0].T
+        self._positions = [position for position, _, _ in case.curves]
         self.errors = np.array([linear_errors(position) for position in self._positions])
 
     def payloads(self, spacings_ms: Sequence[int]) -> list[list[bytes]]:

@@ -19,9 +19,9 @@ def tables(cases: Sequence[Case]) -> Iterator[Table]:
     rows = []
     with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
         for case in cases:
-            units = [units.velocity_unit_qc_s for units in case.units]
-            positions, velocities = (values.T for values in case.commanded)
-            best = pool.map(fewest, positions, velocities, units, [TOLERANCE_QC] * len(units))
+            best = pool.map(
+                fewest, *zip(*case.curves, strict=True), [TOLERANCE_QC] * len(case.curves)
+            )
             ours = [len(records) for records in case.records(TOLERANCE_QC)]
             optimum = list(best)
             rows.append(

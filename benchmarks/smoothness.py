@@ -12,6 +12,7 @@ from epos2_ros.motion.record import Record
 
 from .baselines import pvt_records
 from .cases import Case
+from .frames import PvtGrid, common_spacing
 from .table import Table
 
 TOLERANCE_QC = 1.0
@@ -29,17 +30,15 @@ def tables(cases: Sequence[Case]) -> Iterator[Table]:
         rows = [
             row(case, f"ours, smoothness {w:g}", case.records(TOLERANCE_QC, w)) for w in WEIGHTS
         ]
-        rows += [row(case, f"grid of {ms} ms", on_grid(case, ms)) for ms in GRIDS_MS]
+        same, *_ = common_spacing(PvtGrid(case), TOLERANCE_QC)
+        for ms in (*GRIDS_MS, same):
+            as_exact = f", the widest for {TOLERANCE_QC:g} qc" if ms == same else ""
+            rows.append(row(case, f"grid of {ms} ms{as_exact}", on_grid(case, ms)))
         yield Table(f"Smoothness at {TOLERANCE_QC:g} qc: {case.name}", rows, NOTES)
 
 
 def on_grid(case: Case, spacing_ms: int) -> list[list[Record]]:
-    return [
-        pvt_records(position, velocity, units.velocity_unit_qc_s, spacing_ms)
-        for position, velocity, units in zip(
-            *(values.T for values in case.commanded), case.units, strict=True
-        )
-    ]
+    return [pvt_records(*axis, spacing_ms) for axis in case.curves]
 
 
 def row(case: Case, way: str, records: Sequence[Sequence[Record]]) -> dict[str, Any]:
@@ -51,11 +50,10 @@ def row(case: Case, way: str, records: Sequence[Sequence[Record]]) -> dict[str, 
     k = np.arange(1, case.reference.end_ms + 1)
     scale = np.array([units.qc_per_unit for units in case.units])
     commanded = case.reference.evaluate((k - 1e-6) / 1000, 2) * scale
-    position, _ = case.commanded
     off_qc, off = 0.0, np.empty_like(commanded)
-    for axis, (start_qc, units) in enumerate(zip(case.start_qc, case.units, strict=True)):
-        curve = executed(start_qc, records[axis], units.velocity_unit_qc_s)
-        off_qc = max(off_qc, float(np.abs(curve.position_qc - position[:, axis]).max()))
+    for axis, (position, _, unit) in enumerate(case.curves):
+        curve = executed(case.start_qc[axis], records[axis], unit)
+        off_qc = max(off_qc, float(np.abs(curve.position_qc - position).max()))
         off[:, axis] = curve.acceleration_qc_s2[1:] - commanded[:, axis]
     off /= np.abs(commanded).max(axis=0)
     return {

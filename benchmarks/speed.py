@@ -112,7 +112,7 @@ def latency(points: int) -> Row:
         reference = commander.place(trajectory, None, 0.0).join()
         joined_s = time.perf_counter()
         group.feeder.begin(reference)
-        served = set()
+        served: set[int] = set()
         while len(served) < len(config.axes):
             frame = group.feeder.next(0.0)
             assert frame is not None
@@ -166,7 +166,8 @@ def best(run: Callable[[], Result]) -> Result:
     results: list[Any] = []
     while len(results) < REPEATS and sum(result[0] for result in results) < ENOUGH_S:
         results.append(run())
-    return min(results)  # type: ignore[no-any-return]
+    quickest: Result = min(results)
+    return quickest
 
 
 def traced(run: Callable[[], object]) -> int:

@@ -180,7 +180,7 @@ def test_all_records_of_a_case_reach_its_end() -> None:
     case = cases.example("jerk_limited")
     for axis, records in enumerate(case.records(5.0)):
         assert records[-1].time == 0
-        curve = executed(case.start_qc[axis], records, case.units[axis].velocity_unit_qc_s)
+        curve = executed(case.start_qc[axis], records, case.curves[axis][2])
         assert len(curve.position_qc) == case.reference.end_ms + 1
 
 

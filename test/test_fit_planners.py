@@ -23,7 +23,11 @@ from epos2_ros.motion.units import AxisUnits
 
 PLANNERS = [from_ruckig, from_toppra]
 BUDGET = settings(
-    max_examples=6, deadline=None, suppress_health_check=[HealthCheck.too_slow], print_blob=True
+    max_examples=6,
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=[HealthCheck.too_slow],
+    print_blob=True,
 )
 
 

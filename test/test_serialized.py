@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Duration, Time
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
 from trajectories import JOINTS, trajectories
@@ -62,6 +62,7 @@ def by_rclpy(data: bytes) -> Trajectory:
     return Trajectory.from_message(deserialize_message(data, JointTrajectory))
 
 
+@settings(max_examples=50, deadline=None)
 @given(message=messages())
 def test_the_serialized_message_is_read_as_rclpy_reads_it(message: JointTrajectory) -> None:
     data = serialize_message(message)
@@ -70,6 +71,7 @@ def test_the_serialized_message_is_read_as_rclpy_reads_it(message: JointTrajecto
         assert outcome(read_trajectory, data) == outcome(by_rclpy, data)
 
 
+@settings(max_examples=50, deadline=None)
 @given(message=messages(), choose=st.randoms(use_true_random=False))
 def test_points_that_differ_are_refused_in_the_same_words(
     message: JointTrajectory, choose: Any
@@ -100,6 +102,7 @@ def test_stops_and_streamed_points(points: int) -> None:
     assert trajectory.positions.tolist() == [[0.1, 0.2]] * points
 
 
+@settings(max_examples=50, deadline=None)
 @given(message=messages(), share=st.floats(0.0, 0.5))
 def test_a_damaged_message_is_refused(message: JointTrajectory, share: float) -> None:
     data = serialize_message(message)
