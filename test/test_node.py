@@ -10,7 +10,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,7 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from epos2_ros.bus.driver import AxisSnapshot, Event, Snapshot
+from epos2_ros.compare_config import CompareConfig
 from epos2_ros.config import DriverConfig
 from epos2_ros.demo.report import Executed
 from epos2_ros.demo.witness import Witness
@@ -94,6 +95,7 @@ class FakeDriver:
         self.on_output = on_output
         self.calls: list[str] = []
         self.trajectories: list[Any] = []
+        self.outputs = {output.name: output for output in config.outputs}
         self.failures: dict[str, Exception] = {}
         self.blocked: dict[str, threading.Event] = {}
         self.current = snapshot_of(
@@ -131,6 +133,16 @@ class FakeDriver:
     def submit(self, trajectory: Any) -> None:
         self._do("submit")
         self.trajectories.append(trajectory)
+
+    def set_output(self, config: CompareConfig) -> None:
+        self._do(f"set {config.name}")
+        self.outputs[config.name] = config
+
+    def set_positions(self, output: str, positions: Sequence[float]) -> None:
+        self._do(f"positions of {output}: {list(positions)}")
+
+    def move_to(self, targets: Mapping[str, float], duration_s: float) -> None:
+        self._do(f"move to {dict(targets)} in {duration_s:g} s")
 
     def snapshot(self) -> Snapshot:
         return self.current
@@ -234,13 +246,14 @@ class World:
         self.wait(lambda: any(words in line for line in self.lines()))
         return self.lines()
 
-    def publish_trajectory(self, *joints: str) -> None:
-        publisher = self.peer.create_publisher(
-            JointTrajectory, "/epos2_driver/joint_trajectory", 10
-        )
+    def publish(self, name: str, message: Any) -> None:
+        publisher = self.peer.create_publisher(type(message), f"/epos2_driver/{name}", 10)
         self.wait(publisher.get_subscription_count)
+        publisher.publish(message)
+
+    def publish_trajectory(self, *joints: str) -> None:
         point = JointTrajectoryPoint(positions=[0.0] * len(joints))
-        publisher.publish(JointTrajectory(joint_names=list(joints), points=[point]))
+        self.publish("joint_trajectory", JointTrajectory(joint_names=list(joints), points=[point]))
 
     def close(self) -> None:
         for driver in self.drivers:

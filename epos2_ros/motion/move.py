@@ -6,8 +6,18 @@ from collections.abc import Mapping, Sequence
 
 from epos2_ros.config import AxisConfig
 from epos2_ros.errors import TrajectoryError
+from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.motion.trapezoid import Trapezoid, in_step
 from epos2_ros.motion.units import AxisUnits
+
+
+def target_of(message: Trajectory) -> tuple[dict[str, float], float]:
+    """Where a message for `~/move_to` sends its joints [unit], and in what time [s] (0: as fast as
+    they can). TrajectoryError if it is none."""
+    if len(message.times_s) != 1:
+        raise TrajectoryError(f"{len(message.times_s)} points; a move has one, its target")
+    targets = dict(zip(message.joint_names, message.positions[0].tolist(), strict=True))
+    return targets, float(message.times_s[0])
 
 
 def moves(

@@ -43,7 +43,8 @@ from trajectory_msgs.msg import JointTrajectory
 from epos2_ros.bus.driver import Driver, Event
 from epos2_ros.compare_config import CompareConfig
 from epos2_ros.config import DriverConfig
-from epos2_ros.errors import Epos2RosError, TrajectoryError
+from epos2_ros.errors import Epos2RosError
+from epos2_ros.motion.move import target_of
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.node import messages
 from epos2_ros.node.parameters import Parameters
@@ -239,11 +240,7 @@ class DriverNode(LifecycleNode):
 
     def _on_move_to(self, message: JointTrajectory) -> None:
         try:
-            target = Trajectory.from_message(message)
-            if len(target.times_s) != 1:
-                raise TrajectoryError(f"{len(target.times_s)} points; a move has one, its target")
-            positions = dict(zip(target.joint_names, target.positions[0], strict=True))
-            self._activated().move_to(positions, float(target.times_s[0]))
+            self._activated().move_to(*target_of(Trajectory.from_message(message)))
         except Epos2RosError as error:
             self.get_logger().error(f"move refused: {error}")
 

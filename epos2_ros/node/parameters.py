@@ -47,8 +47,10 @@ class Parameters:
             {name: p.value for name, p in overrides if not node.has_parameter(name)}
         )
         for name, spec in self._parameters.specs.items():
-            value = self._parameters.values[name]
-            node.declare_parameter(name, value, descriptor(spec), ignore_override=True)
+            value, described = self._parameters.values[name], descriptor(spec)
+            if _of_output(name):
+                described.additional_constraints = f"{spec.allowed}; changes while the axes stand"
+            node.declare_parameter(name, value, described, ignore_override=True)
         node.add_on_set_parameters_callback(self._review)
         node.add_post_set_parameters_callback(self._take)
 
@@ -71,7 +73,7 @@ class Parameters:
             spec = self._parameters.specs.get(change.name)
             if spec is None:  # rclpy's own, such as use_sim_time
                 continue
-            if not self._changeable() and not change.name.startswith("compare."):
+            if not self._changeable() and not _of_output(change.name):
                 reason = f"{change.name} can change only while the node is unconfigured"
                 return SetParametersResult(successful=False, reason=reason)
             try:
@@ -88,22 +90,35 @@ class Parameters:
 
     def _change_outputs(self, changes: Iterable[Parameter]) -> None:
         """All changes of an output at once: between them it need make no sense."""
-        mine = [change for change in changes if change.name.startswith("compare.")]
-        before = dict(self._parameters.values)
+        changes = [change for change in changes if change.name in self._parameters.specs]
+        changed = [
+            output
+            for output in self.outputs
+            if any(change.name.startswith(f"compare.{output}.") for change in changes)
+        ]
+        values = dict(self._parameters.values)
+        before = [self._parameters.output(output) for output in changed]
+        followed: list[CompareConfig] = []
         try:
-            for change in mine:
+            for change in changes:
                 self._parameters.set(change.name, change.value)
-            for output in self.outputs:
-                if any(change.name.startswith(f"compare.{output}.") for change in mine):
-                    self._set_output(self._parameters.output(output))
+            for output, config in zip(changed, before, strict=True):
+                self._set_output(self._parameters.output(output))
+                followed.append(config)
         except Epos2RosError:
-            self._parameters.values.update(before)
+            self._parameters.values.update(values)
+            for config in followed:
+                self._set_output(config)
             raise
 
     def _take(self, changes: Iterable[Parameter]) -> None:
         for change in changes:
             if change.name in self._parameters.specs:
                 self._parameters.set(change.name, change.value)
+
+
+def _of_output(name: str) -> bool:
+    return name.startswith("compare.")
 
 
 def descriptor(spec: Spec) -> ParameterDescriptor:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from epos2_ros.config import AxisConfig, DriverConfig
-from epos2_ros.motion.move import moves
+from epos2_ros.motion.move import moves, target_of
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.motion.trapezoid import Trapezoid
 from epos2_ros.motion.units import AxisUnits
@@ -45,13 +45,8 @@ def make_move_plan(
         joint: round(AxisUnits.of(axes[joint]).to_qc(position))
         for joint, position in zip(trajectory.joint_names, start, strict=True)
     }
-    targets = dict(zip(trajectory.joint_names, map(float, trajectory.positions[0]), strict=True))
-    together = {
-        joint: as_written(move)
-        for joint, move in moves(
-            list(axes.values()), standing, targets, float(trajectory.times_s[0])
-        ).items()
-    }
+    found = moves(list(axes.values()), standing, *target_of(trajectory))
+    together = {joint: as_written(move) for joint, move in found.items()}
     return MovePlan(
         tuple((axes[joint], move) for joint, move in together.items()),
         OutputPlans.of(config, {joint: move.path(0.0) for joint, move in together.items()}),
