@@ -81,4 +81,4 @@ def _published(times_s: Array, states: Array) -> Trajectory:
     states = np.round(states, 9)
     states[[0, -1], 1] = 0.0
     joints = tuple(f"joint_{number}" for number in range(1, states.shape[2] + 1))
-    return Trajectory(joints, np.round(times_s, 9), states[:, 0], states[:, 1], states[:, 2])
+    return Trajectory(joints, np.round(times_s, 9), *np.ascontiguousarray(states.swapaxes(0, 1)))
