@@ -3,6 +3,7 @@
     python -m benchmarks.time_sync                  # standing, the table of docs/time.md
     python -m benchmarks.time_sync --periods        # over the SYNC period
     python -m benchmarks.time_sync --motion         # in motion, with and without the line fit
+    python -m benchmarks.time_sync --starts 100     # start spread, and how late they start
 
 In simulated time, the drives' clocks drifting evenly from −100 to +100 ppm, from 2 s after the
 bring-up. Jitter is how late the host's thread wakes up (even from 0 on), noise the standard
@@ -15,7 +16,7 @@ from __future__ import annotations
 import argparse
 import random
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -29,6 +30,7 @@ from epos2_ros.sim.epos2 import Epos2
 DRIFT_PPM = 100.0
 SETTLED_US = 2e6
 LOOK_US = 4.7e3
+CONDITIONS = tuple((jitter, noise) for jitter in (0.0, 100.0, 1e3) for noise in (0.0, 20.0, 200.0))
 
 
 class Drive(Epos2):
@@ -122,6 +124,28 @@ def watch_motion(made: Bench, seconds: float) -> Clocks:
     return Clocks(spread.tolist(), float(spread.max()), common.tolist())
 
 
+def starts(made: Bench, count: int) -> tuple[float, np.ndarray]:
+    """Of `count` short motions, each at a time given 0.4 s ahead: the most any two drives started
+    apart, and how much later than the time given [us]."""
+    made.run(SETTLED_US / 1e6)
+    joints = tuple(axis.joint for axis in made.config.axes)
+    reach = np.linspace(0.01, 0.02, len(joints))
+    spread_us, late_us = 0.0, []
+    for number in range(count):
+        ends = np.array([number % 2 * reach, (number + 1) % 2 * reach])
+        at_us = made.now_us + 0.4e6
+        move = Trajectory(joints, np.array([0.0, 0.3]), ends, None, None)
+        made.path.submit(move, at_us, made.now_us)
+        motion = made.group.motion
+        assert motion is not None
+        made.wait(motion)
+        began_us = [drive.ip_start_us for drive in made.drives]
+        spread_us = max(spread_us, max(began_us) - min(began_us))
+        late_us.append(began_us[0] - at_us)
+        made.frames.clear()
+    return spread_us, np.array(late_us)
+
+
 def row(label: str, seen: Clocks) -> None:
     common = np.array(seen.common) - np.mean(seen.common)
     print(
@@ -136,7 +160,7 @@ def head(label: str) -> None:
     print("|---|---|---|---|---|---|")
 
 
-def main() -> None:
+def main(argv: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--seconds", type=float, default=600.0, help="of simulated time")
     parser.add_argument("--axes", type=int, default=6)
@@ -144,13 +168,27 @@ def main() -> None:
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--motion", action="store_true", help="in motion, from the drives' logs")
     what.add_argument("--periods", action="store_true", help="over sync.period")
-    chosen = parser.parse_args()
+    what.add_argument("--starts", type=int, metavar="N", help="of N motions at a given time")
+    chosen = parser.parse_args(argv)
     count, period_s = chosen.axes, chosen.period
     if chosen.periods:
         head("sync.period [s]")
         for period_s in (0.2, 0.1, 0.05, 0.02, 0.01):
             made = bench(100.0, 20.0, count, period_s)
             row(f"{period_s:g}", watch(made, chosen.seconds))
+        return
+    if chosen.starts:
+        print("| SYNC jitter, noise [us] | start spread, worst | start late, median | worst |")
+        print("|---|---|---|---|")
+        for jitter_us, noise_us in CONDITIONS:
+            spread_us, late_us = starts(
+                bench(jitter_us, noise_us, count, period_s, record=True), chosen.starts
+            )
+            print(
+                f"| {jitter_us:g}, {noise_us:g} | {spread_us:.1f} | {np.median(late_us):.0f} "
+                f"| {late_us.max():.0f} |",
+                flush=True,
+            )
         return
     head("SYNC jitter, noise [us]")
     if chosen.motion:
@@ -159,10 +197,9 @@ def main() -> None:
             made = bench(100.0, 20.0, count, period_s, record=True)
             row(f"100, 20, {label}", watch_motion(made, chosen.seconds))
         return
-    for jitter_us in (0.0, 100.0, 1000.0):
-        for noise_us in (0.0, 20.0, 200.0):
-            made = bench(jitter_us, noise_us, count, period_s)
-            row(f"{jitter_us:g}, {noise_us:g}", watch(made, chosen.seconds))
+    for jitter_us, noise_us in CONDITIONS:
+        made = bench(jitter_us, noise_us, count, period_s)
+        row(f"{jitter_us:g}, {noise_us:g}", watch(made, chosen.seconds))
 
 
 if __name__ == "__main__":

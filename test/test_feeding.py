@@ -1,0 +1,40 @@
+"""Feeding for long on a slow bus with a full transmit queue; the hour is in docs/time.md."""
+
+from __future__ import annotations
+
+import pytest
+
+from benchmarks import feeding
+from benchmarks.bus_load import measure
+from epos2_ros.bus.transmitter import MAX_IN_FLIGHT
+from epos2_ros.sim.can_bus import SimulatedBus
+
+
+def test_no_record_is_lost_repeated_or_overtaken():
+    records, refused = feeding.feed(12.0)
+    assert records > 300
+    assert refused > 100
+
+
+def test_a_lost_record_would_be_noticed(monkeypatch: pytest.MonkeyPatch):
+    complete = SimulatedBus._complete
+    records = 0
+
+    def losing(bus: SimulatedBus) -> None:
+        nonlocal records
+        records += bus._sending is not None and bus._sending[0] & 0x780 == feeding.RECORD
+        bus.drop = (lambda *frame: True) if records == 40 else None
+        complete(bus)
+
+    monkeypatch.setattr(SimulatedBus, "_complete", losing)
+    with pytest.raises(SystemExit, match="lost, repeated or overtaken"):
+        feeding.feed(12.0)
+
+
+def test_32_axes_move_on_one_bus_at_1_mbit_s():
+    """A SYNC in an adapter's queue waits for three records at most, and those, by their
+    identifiers, for one buffer report of every drive."""
+    axes, frame_us = 32, 135
+    load = measure(axes, 10.0, 10.0, 1_000_000)
+    assert 0.005 * axes < load.total < 0.6
+    assert load.sync_late_us < (MAX_IN_FLIGHT + axes + 1) * frame_us
