@@ -1,6 +1,7 @@
-"""What docs/ gives figures of, measured: `python -m benchmarks.<name>` from the project's folder.
+"""What docs/ gives figures of, measured: run from the project's folder.
 
-The benchmarks run on the tests' bench: the real driver side against simulated drives.
+`python -m benchmarks` makes the tables of docs/motion.md, a module for each; `time_sync` stands by
+itself, on the tests' bench: the real driver side against simulated drives.
 """
 
 import sys
