@@ -46,7 +46,9 @@ def fewest(
     """
     unit = velocity_unit_qc_s * 1e-3  # [qc/ms]
     window = math.ceil(WILD_QC_MS * tolerance_qc / unit)
-    return int(_fewest(position_qc, velocity_qc_s * 1e-3, unit, tolerance_qc, longest_ms, window))
+    speed = velocity_qc_s * 1e-3
+    speed[[0, -1]] = 0.0
+    return int(_fewest(position_qc, speed, unit, tolerance_qc, longest_ms, window))
 
 
 @njit(cache=True, fastmath=True)

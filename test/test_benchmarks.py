@@ -100,10 +100,12 @@ def interpreted() -> Iterator[None]:
         yield
 
 
-def brute_force(position: Array, velocity: Array, unit_qc_s: float, longest: int) -> int:
+def brute_force(
+    position: Array, velocity: Array, unit_qc_s: float, longest: int, wildest_qc_ms: float
+) -> int:
     """The fewest records at 1 qc: every pair of states, with the drive's own formula."""
     end, tolerance = len(position) - 1, 1.0
-    reach = math.ceil(search.WILD_QC_MS / (unit_qc_s * 1e-3))
+    reach = math.ceil(wildest_qc_ms / (unit_qc_s * 1e-3))
     states = []  # [states, 2] of each millisecond: position, velocity
     for k in range(end + 1):
         places = np.arange(math.ceil(position[k] - tolerance), position[k] + tolerance + 1e-9)
@@ -140,11 +142,28 @@ def test_the_search_finds_what_trying_all_finds(
     position = np.concatenate(([0.0], np.cumsum(steps) + fractions[: len(steps)]))
     velocity = np.gradient(position, 1e-3)
     least = search.fewest(position, velocity, unit, 1.0, longest)
-    assert least == brute_force(position, velocity, unit, longest)
+    assert least == brute_force(position, velocity, unit, longest, search.WILD_QC_MS)
 
 
-@given(p1=st.integers(-300, 300), time=st.integers(3, 60), offset=st.integers(-(2**30), 2**30))
-@settings(deadline=None, max_examples=10)
+@settings(max_examples=15, deadline=None)
+@given(
+    step=st.floats(-20.0, 20.0),
+    ripple=st.floats(-3.0, 3.0),
+    unit=st.sampled_from([2500.0, 5000.0]),
+    end=st.integers(3, 6),
+)
+def test_wilder_velocities_save_nothing(step: float, ripple: float, unit: float, end: int) -> None:
+    """From rest to rest with a ripple, which takes several short segments."""
+    u = np.arange(end + 1) / end
+    position = step * u**2 * (3 - 2 * u) + ripple * np.sin(2 * np.pi * u) ** 2
+    velocity = 6 * step * u * (1 - u) + ripple * 2 * np.pi * np.sin(4 * np.pi * u)
+    velocity *= 1000 / end
+    wilder = brute_force(position, velocity, unit, 255, 2 * search.WILD_QC_MS)
+    assert search.fewest(position, velocity, unit) == wilder
+
+
+@settings(max_examples=10, deadline=None)
+@given(p1=st.integers(-60, 60), time=st.integers(3, 12), offset=st.integers(-(2**30), 2**30))
 def test_one_segment_is_enough_for_one_cubic(p1: int, time: int, offset: int) -> None:
     k = np.arange(time + 1)
     cubic = Cubic.between(0, 0, p1, 0, time / 1000)
