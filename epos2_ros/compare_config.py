@@ -43,6 +43,8 @@ class CompareConfig:
     extrapolated: bool = False  # the drive samples the encoder and extrapolates in between
 
     def __post_init__(self) -> None:
+        if not self.joint:
+            raise self.refuse("joint", "it must name the joint whose position triggers the output")
         for parameter, allowed in (
             ("kind", KINDS),
             ("method", (None, *METHODS)),
@@ -73,7 +75,7 @@ class CompareConfig:
             shown = f"{shown:.12g}"
         elif isinstance(shown, bool):
             shown = str(shown).lower()
-        state = "is not set" if shown is None else f"is {shown}"
+        state = "is not set" if shown in (None, "") else f"is {shown}"
         return ConfigurationError(f"compare.{self.name}.{parameter} {state}; {allowed}")
 
     def check_positions(self, positions: Sequence[float]) -> None:

@@ -48,7 +48,7 @@ class Spec:
     def allowed(self) -> str:
         """What may be written, in words."""
         if self.choices:
-            *most, last = self.choices
+            *most, last = (choice for choice in self.choices if choice != "")
             return f"{', '.join(map(str, most))} or {last}" if most else str(last)
         if isinstance(self.default, bool):
             return "true or false"
@@ -61,8 +61,9 @@ class Spec:
         if isinstance(self.default[0], float):
             length = "" if self.any_length else f"{len(self.default)} "
             return f"a list of {length}numbers{self._bounds}"
-        least = 0 if self.any_length else 1
-        return f"a list of {least} to {MAX_AXES} names, each once"
+        if self.any_length:
+            return f"a list of up to {MAX_AXES} names of letters, digits and _, each once"
+        return f"a list of 1 to {MAX_AXES} names, each once"
 
     @property
     def _bounds(self) -> str:
@@ -84,8 +85,9 @@ class Spec:
             raise ValueError
         values = [self._read_one(v, self.default[0]) for v in value]
         if isinstance(self.default[0], str):
+            named = all(map(_is_token, values)) if self.any_length else all(values)
             valid = 1 <= len(set(values)) == len(values) <= MAX_AXES and (
-                all(values) or (self.any_length and values == self.default)
+                named or (self.any_length and values == self.default)
             )
         else:
             valid = self.any_length or len(values) == len(self.default)
@@ -172,7 +174,7 @@ AXIS: dict[str, Spec] = {
 
 OUTPUT: dict[str, Spec] = {
     "joint": Spec("", "the joint whose position triggers the output"),
-    "kind": Spec("crossing", "window, crossing, series, interval or marker", choices=KINDS),
+    "kind": Spec("", "window, crossing, series, interval or marker", choices=("", *KINDS)),
     "pin": Spec(1, "number of the output on the joint's drive", 1, 127),
     "method": Spec("", "hardware or software; '': hardware where it can", choices=("", *METHODS)),
     "window": Spec([inf, inf], "[lower, upper] [rad or m]; inf: not set"),
@@ -359,6 +361,11 @@ class DriverParameters:
             raise ConfigurationError(
                 f"sync.source is '{source}'; it must be one of {', '.join(sources)}"
             )
+
+
+def _is_token(name: str) -> bool:
+    """Whether it can be a part of a topic's name."""
+    return name.isascii() and name.isidentifier() and "__" not in name
 
 
 def _finite(value: float) -> float | None:

@@ -174,13 +174,16 @@ def test_difference_between_predicted_and_reported() -> None:
     path = Path(np.array([0.0, 1e6]), np.array([0.0, 350.0]), np.full(2, 350.0))
     predicted = Trigger(Grid(0, 100)).fires(path)
     same = [(int(c), True, float(t)) for c, t in zip(predicted.count, predicted.t_us, strict=True)]
-    assert difference(predicted, same) == ""
-    assert difference(predicted, same[:2]) == "3 events predicted, 2 reported"
-    late = [same[0], (200, True, same[1][2] + 9000), same[2]]
+    assert difference(predicted, same) == ("", 0.0)
+    assert difference(predicted, same[:2])[0] == "3 events predicted, 2 reported"
+    late = [same[0], (200, True, same[1][2] + 12_000), same[2]]
     assert difference(predicted, late) == (
-        "event 2 at count 200 came +9000 µs from where predicted"
+        "event 2 at count 200 came +12000 µs from where predicted",
+        pytest.approx(12_000),
     )
+    little = [same[0], (200, True, same[1][2] - 400), same[2]]
+    assert difference(predicted, little) == ("", pytest.approx(-400))
     wrong = [same[0], (200, False, same[1][2]), same[2]]
-    assert difference(predicted, wrong) == (
+    assert difference(predicted, wrong)[0] == (
         "event 2 predicted at count 200 upward, reported at 200 downward"
     )

@@ -51,6 +51,12 @@ def test_outputs_are_read_from_parameters() -> None:
     ("given", "line"),
     [
         ({"kind": "edge"}, "compare.camera.kind is 'edge'; it must be window, crossing, series, "),
+        ({}, "compare.camera.joint is not set; it must name the joint whose position triggers"),
+        ({"joint": "joint_1"}, "compare.camera.kind is not set; it must be one of window, cross"),
+        (
+            {"joint": "joint_1", "kind": "crossing", "positions": []},
+            "compare.camera.positions is []; a crossing needs positions, all finite",
+        ),
         ({"windows": [0.0, 1.0]}, "there is no such parameter; did you mean compare.camera.window"),
         (
             {"joint": "joint_1", "kind": "window", "window": [0.2, 0.1]},
@@ -63,6 +69,14 @@ def test_a_wrong_parameter_of_an_output_is_one_line(given: dict[str, Any], line:
         parameters(**given).config()
     assert line in str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("name", ["my camera", "a/b", "9", "ä", "a__b", ""])
+def test_an_output_whose_name_is_no_topic_is_refused(name: str) -> None:
+    given = DriverParameters({"outputs": ["ok", name]})
+    assert given.values["outputs"] == [""]  # the node comes up
+    with pytest.raises(ConfigurationError, match="names of letters, digits and _, each once"):
+        given.config()
 
 
 def test_what_the_drive_cannot_do_is_refused_before_the_bus_is_opened() -> None:
@@ -238,7 +252,7 @@ def test_a_difference_from_the_prediction_is_a_diagnostic() -> None:
     with Bench("outputs7", camera) as bench:
         before = bench.driver.snapshot()
         assert before.outputs == (OutputSnapshot("camera", "z", 2, Tally()),)
-        wrong = Tally(700, 200, 199, "200 events predicted, 199 reported")
+        wrong = Tally(700, 200, 199, 0.0, "200 events predicted, 199 reported")
         after = replace(before, outputs=(OutputSnapshot("camera", "z", 2, wrong),))
     status = diagnosed(before)["compare.camera"]
     assert (status.level, status.message) == (DiagnosticStatus.OK, "no motion yet")
@@ -250,6 +264,7 @@ def test_a_difference_from_the_prediction_is_a_diagnostic() -> None:
         ("events", "700"),
         ("predicted in last motion", "200"),
         ("reported in last motion", "199"),
+        ("farthest from predicted time [us]", "+0"),
     ]
     # A Copley drive has no clock that is set, and does not report its following error.
     keys = {name: {pair.key for pair in diagnosed(after)[name].values} for name in ("x", "z")}

@@ -24,7 +24,11 @@ CAMERA = {
     "compare__camera__start": 0.0,
     "compare__camera__interval": 0.1,
 }
-LASER = {"compare__laser__joint": "b", "compare__laser__positions": [0.5]}
+LASER = {
+    "compare__laser__joint": "b",
+    "compare__laser__kind": "crossing",
+    "compare__laser__positions": [0.5],
+}
 
 
 def started(world: World, **parameters: Any) -> FakeDriver:

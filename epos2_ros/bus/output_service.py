@@ -66,7 +66,14 @@ class OutputService:
         if self.protocol.on_axis(axis):
             node = self._nodes[axis]
             position = read_position(node)
-            write_all(node, self._reactor.call(lambda: self.protocol.arm(axis, position)))
+            writes = self._reactor.call(lambda: self.protocol.arm(axis, position))
+            try:
+                write_all(node, writes)
+            except DriveError as error:
+                raise DriveError(
+                    f"the outputs of {joint} can't be set as configured (pin, positions, "
+                    f"capacity): {error}"
+                ) from error
 
     def reconfigure(self, config: CompareConfig) -> None:
         """An output gets other parameters while its axis stands.

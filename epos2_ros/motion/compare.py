@@ -103,27 +103,37 @@ def extrapolation_error(acceleration_qc_s2: FloatArray) -> FloatArray:
     return 0.5 * np.abs(acceleration_qc_s2) * (LOOP_US * 1e-6) ** 2
 
 
+LATE_US = 5_000.0
+"""So late a busy host may read a SYNC off an adapter that has no time stamps; the times of events
+are late with it."""
+
+
 def difference(
     predicted: Crossings, reported: Sequence[tuple[int, bool, float]], zero_us: float = 0.0
-) -> str:
-    """In words what was reported otherwise than predicted, "" if nothing.
+) -> tuple[str, float]:
+    """In words what was reported otherwise than predicted, "" if nothing; and the time that is
+    farthest from its prediction, by how much [µs].
 
     `reported`: count, rising and time [µs] of each event, in order; `zero_us` is where the
-    predicted times begin. A time may be off by a loop, and by what two counts take.
+    predicted times begin. A time may be off by `LATE_US`, and by what two counts take.
     """
     if len(reported) != len(predicted):
-        return f"{len(predicted)} events predicted, {len(reported)} reported"
+        return f"{len(predicted)} events predicted, {len(reported)} reported", 0.0
+    worst_us, words = 0.0, ""
     for n, (count, rising, t_us) in enumerate(reported):
         if (count, rising) != (predicted.count[n], predicted.rising[n]):
             return (
                 f"event {n + 1} predicted at count {predicted.count[n]} {_way(predicted.rising[n])}"
                 f", reported at {count} {_way(rising)}"
-            )
-        late_us = t_us - zero_us - predicted.t_us[n]
+            ), 0.0
+        late_us = float(t_us - zero_us - predicted.t_us[n])
+        if abs(late_us) <= abs(worst_us):
+            continue
+        worst_us = late_us
         slow_us = 2e6 / max(abs(float(predicted.velocity_qc_s[n])), 1.0)
-        if abs(late_us) > LOOP_US + slow_us:
-            return f"event {n + 1} at count {count} came {late_us:+.0f} µs from where predicted"
-    return ""
+        if abs(late_us) > LATE_US + slow_us:
+            words = f"event {n + 1} at count {count} came {late_us:+.0f} µs from where predicted"
+    return words, worst_us
 
 
 def _way(rising: bool) -> str:

@@ -115,6 +115,7 @@ def _output_of(output: OutputSnapshot, node: str, channel: str) -> DiagnosticSta
                 "events": str(tally.events),
                 "predicted in last motion": str(tally.predicted) if known else "",
                 "reported in last motion": str(tally.reported) if known else "",
+                "farthest from predicted time [us]": f"{tally.late_us:+.0f}" if known else "",
             }
         ),
     )

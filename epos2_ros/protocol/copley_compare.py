@@ -341,6 +341,8 @@ def _output_pin(config: CompareConfig, scale: CountScale, offset: int) -> tuple[
     """What the output is set to, and what it then does."""
     if config.toggle:
         raise config.refuse("toggle", "software outputs pulse; method hardware can toggle")
+    if config.kind == "interval" and config.method is None:
+        raise config.refuse("reference", "an interval is compared with the actual position only")
     if config.kind not in ("window", "crossing", "series"):
         raise config.refuse("kind", "software outputs do window, crossing and series")
     rising, falling = scale.directions

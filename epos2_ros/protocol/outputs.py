@@ -62,6 +62,7 @@ class Tally:
     events: int = 0  # in all
     predicted: int | None = None  # of the last motion; None: none yet
     reported: int = 0
+    late_us: float = 0.0  # of those times, what is farthest from the prediction
     difference: str = ""  # in words; "" if there is none
 
 
@@ -262,7 +263,7 @@ class Outputs:
         del armed.told[: len(mine) if armed.runs else None]
         tally, expected = armed.tally, run.expected.fired
         tally.predicted, tally.reported = len(expected), len(mine)
-        tally.difference = difference(expected, mine, run.zero_us)
+        tally.difference, tally.late_us = difference(expected, mine, run.zero_us)
         if tally.difference:
             self.notices.append(f"compare.{armed.output.config.name}: {tally.difference}")
 
