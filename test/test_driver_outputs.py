@@ -21,6 +21,7 @@ from epos2_ros.node import messages
 from epos2_ros.parameters import DriverParameters
 from epos2_ros.protocol.group import Event
 from epos2_ros.protocol.outputs import OutputEvent, Tally
+from epos2_ros.sim.realtime import now_us
 
 BELT: dict[str, Any] = {
     "type": "prismatic", "counts_per_turn": 2000, "gear_ratio": 100.0, "lead": 0.1,
@@ -105,18 +106,24 @@ class Bench:
     def __exit__(self, *_: object) -> None:
         self.driver.close()
 
-    def kill(self, node_id: int) -> None:
-        """The drive loses its power."""
+    def power(self, node_id: int, on: bool) -> None:
+        """A drive loses its power, or gets it back."""
         assert self.driver._simulation is not None
         simulator = self.driver._simulation._simulator
         with simulator.lock:
-            next(d for d in simulator._drives if d.node_id == node_id).power_off()
+            drive = next(drive for drive in simulator._drives if drive.node_id == node_id)
+            drive.power_on(now_us()) if on else drive.power_off()
 
     def until(self, condition: Callable[[], bool], seconds: float = 20.0) -> None:
         end = time.monotonic() + seconds
         while not condition():
             assert time.monotonic() < end, self.events
             time.sleep(0.02)
+
+    @property
+    def done(self) -> int:
+        """How many motions have ended well."""
+        return sum(event.kind == "done" for event in self.events)
 
     def positions(self, name: str) -> list[float]:
         return [round(event.position, 6) for event in self.fired if event.name == name]
@@ -135,7 +142,7 @@ def test_a_copley_axis_moves_beside_an_epos2_and_tells_its_events() -> None:
         with pytest.raises(ConfigurationError, match="memory is reserved for 3"):
             bench.driver.set_positions("glue", (0.1, 0.2, 0.3, 0.4))
         coarser = CompareConfig("laser", "z", "interval", start=0.0005, interval=0.002)
-        bench.until(lambda: bench.events[-1].kind == "done")
+        bench.until(lambda: bench.done == 1)
         bench.driver.set_output(coarser)
         bench.driver.move_to({"z": 0.0})
         down = [round(0.0485 - 0.002 * n, 6) for n in range(25)]
@@ -165,7 +172,7 @@ def test_copley_drives_alone_move_and_tell_their_events() -> None:
         assert bench.driver.snapshot().state == "standing"
         bench.driver.move_to({"z": 0.02, "w": 0.01})
         bench.until(lambda: len(bench.positions("laser")) >= 20)
-        bench.until(lambda: bench.events[-1].kind == "done")
+        bench.until(lambda: bench.done == 1)
         with pytest.raises(TrajectoryError) as refused:
             bench.driver.submit(line(0.0, 0.1, 1.0))
         assert str(refused.value) == (
@@ -194,7 +201,7 @@ def test_what_is_predicted_of_a_replaced_motion_is_what_comes() -> None:
         bench.until(lambda: len(bench.positions("camera")) >= 5)
         back = Trajectory(("x",), np.array([2.0]), np.array([[0.01]]), np.zeros((1, 1)))
         bench.driver.submit(back)
-        bench.until(lambda: bench.events[-1].kind == "done")
+        bench.until(lambda: bench.done == 1)
         bench.until(lambda: bench.driver.snapshot().outputs[0].tally.predicted is not None)
         tally = bench.driver.snapshot().outputs[0].tally
         assert tally.difference == "", bench.events
@@ -217,7 +224,7 @@ def test_what_may_go_wrong_is_said_before_the_motion() -> None:
     with Bench("outputs5", laser, camera, axes=axes) as bench:
         bench.driver.submit(line(0.0, 0.02, 1.0))
         bench.driver.move_to({"z": 0.05})
-        bench.until(lambda: sum(event.kind == "done" for event in bench.events) == 2)
+        bench.until(lambda: bench.done == 2)
     kinds = [event.kind for event in bench.events]
     warnings = [event.text for event in bench.events if event.kind == "warning"]
     stops = next(text for text in warnings if text.startswith("compare.camera: "))
@@ -233,7 +240,7 @@ def test_an_axis_in_trouble_stops_those_of_the_other_family() -> None:
         bench.driver.submit(line(0.0, 0.1, 3.0))
         bench.driver.move_to({"z": 0.3})
         bench.until(lambda: sum(event.kind == "started" for event in bench.events) == 2)
-        bench.kill(2)
+        bench.power(2, on=False)
         bench.until(lambda: bench.driver.snapshot().state == "fault")
         snapshot = bench.driver.snapshot()
         assert "z (node 2) is silent" in snapshot.reason
@@ -287,3 +294,23 @@ def test_what_a_copley_drive_cannot_hold_is_refused(
     with pytest.raises(ConfigurationError) as refused:
         Driver(DriverConfig(axes=(axis,)))
     assert str(refused.value) == f"axes.z.{parameter}: {line}"
+
+
+def test_a_copley_drive_that_comes_back_is_armed_anew() -> None:
+    laser = CompareConfig("laser", "z", "interval", start=0.0005, interval=0.001)
+    with Bench("outputs8", laser) as bench:
+        bench.driver.move_to({"z": 0.01})
+        bench.until(lambda: bench.done == 1)
+        bench.until(lambda: len(bench.positions("laser")) == 10)
+        bench.power(2, on=False)
+        bench.until(lambda: bench.driver.snapshot().state == "fault")
+        bench.power(2, on=True)
+        bench.driver.reset_fault()
+        assert bench.driver.snapshot().axes[1].state == "switch on disabled"
+        bench.driver.enable()
+        here = bench.driver.snapshot().axes[1].position
+        bench.driver.move_to({"z": here + 0.0052})
+        bench.until(lambda: bench.done == 2)
+        bench.until(lambda: len(bench.positions("laser")) == 15)
+        bench.until(lambda: bench.driver.snapshot().outputs[0].tally.predicted == 5)
+        assert bench.driver.snapshot().outputs[0].tally.difference == ""

@@ -396,8 +396,8 @@ class Driver:
     def _state(self) -> tuple[str, str]:
         """Of all axes: what is wrong with some of them comes first."""
         group, profile = self._group, self._copley.protocol
-        troubled = group.phase is not Phase.FAULT and profile.phase is ProfilePhase.FAULT
-        if troubled or not group.axes:
+        fine = group.phase is not Phase.FAULT
+        if fine and (profile.phase is ProfilePhase.FAULT or not group.axes):
             return profile.phase.value, profile.reason
         return group.phase.value, group.reason
 
