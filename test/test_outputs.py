@@ -239,6 +239,27 @@ def test_what_software_fires_is_computed(
         assert abs(pulse.t_us - event.t_us - LOOP_US / 2) <= LOOP_US
 
 
+@pytest.mark.parametrize("reference", ["actual", "commanded"])
+def test_software_compares_with_the_actual_or_the_commanded_position(reference: str) -> None:
+    """The axis is 5 ms late; the output that follows the commanded position is not."""
+    crossing = output("crossing", positions=(0.05, 0.1), reference=reference, method="software")
+    made, drive = bench(crossing, drive=Copley(1, lag_ms=5.0))
+    made.outputs.begin(0)
+    made.outputs.expect(foreseen(made, predicted(made, 0.2)))
+    start_us = made.move(x=0.2)
+    made.outputs.finished(0, start_us, made.now_us)
+    made.run(1.0)
+    edges = [(n - 0.5) * COUNT for n in (100_000, 200_000)]
+    late_us = [
+        e.t_us - start_us - 1e6 * when(x) for e, x in zip(made.of("camera"), edges, strict=True)
+    ]
+    really = [pulse.t_us for pulse in drive.pins[0].fired]
+    assert late_us == pytest.approx([5000.0 if reference == "actual" else 0.0] * 2, abs=LOOP_US)
+    assert [e.t_us for e in made.of("camera")] == pytest.approx(really, abs=1.5 * LOOP_US)
+    assert made.outputs.tally("camera").predicted == 2
+    assert made.notices == []
+
+
 def test_a_reversed_joint_tells_its_own_positions() -> None:
     made, drive = bench(
         output("interval", start=0.01, interval=0.005, direction="up"), direction=-1

@@ -162,5 +162,4 @@ class Predictor:
             if start_us is None:
                 self._outputs.forget(axis)
             else:
-                delay_us = self._outputs.watches[axis].executed.delay_us
-                self._outputs.finished(axis, start_us + delay_us, now_us)
+                self._outputs.finished(axis, start_us, now_us)

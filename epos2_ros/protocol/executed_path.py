@@ -104,6 +104,7 @@ class ExecutedPath:
 
     def __init__(self) -> None:
         self.delay_us = 0.0
+        self.commanded: Path | None = None  # over the time of the last piece
         self._t_us: float | None = None
         self._position = 0.0
         self._velocity = 0.0
@@ -123,7 +124,10 @@ class ExecutedPath:
             return None
         if demand is None:
             ends = np.array([before, self._position])
-            return Path(np.array([since_us, t_us]), ends, np.array([speed, velocity_qc_s]))
+            times, speeds = np.array([since_us, t_us]), np.array([speed, velocity_qc_s])
+            self.commanded = Path(times, ends, speeds)
+            return self.commanded
+        self.commanded = demand.between(since_us, t_us)
         self._measure_delay(t_us, position_qc, demand)
         late = demand.between(since_us - self.delay_us, t_us - self.delay_us)
         demand.forget(since_us - 2 * MAX_DELAY_US)

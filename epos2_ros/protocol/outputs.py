@@ -71,7 +71,7 @@ class _Run:
     """A motion whose events are held against what was predicted of it."""
 
     expected: Prediction | None = None
-    zero_us: float = inf  # where its predicted times begin
+    zero_us: float = inf  # where its predicted times begin, the axis' delay included
     end_us: float = inf
     pieces: int = 0  # of path since its end
 
@@ -90,6 +90,11 @@ class _Armed:
     tally: Tally = field(default_factory=Tally)
     runs: deque[_Run] = field(default_factory=deque)  # begun and not yet compared
     told: list[tuple[int, bool, float]] = field(default_factory=list)  # since the first of them
+
+    @property
+    def commanded(self) -> bool:
+        """Whether it is the commanded position that fires it."""
+        return self.output.config.reference == "commanded"
 
     def forget(self) -> None:
         """What is under way comes to another end than was predicted."""
@@ -232,11 +237,12 @@ class Outputs:
             if self._armed[name].runs:
                 self._armed[name].runs[-1].expected = prediction
 
-    def finished(self, axis: int, zero_us: float, end_us: float) -> None:
-        """The axis' motion, whose predictions count from `zero_us`, is over: compare."""
+    def finished(self, axis: int, start_us: float, end_us: float) -> None:
+        """The axis' motion, which was to begin at `start_us`, is over: compare."""
         for armed in self._armed.values():
             if armed.axis == axis and armed.runs:
-                armed.runs[-1].zero_us, armed.runs[-1].end_us = zero_us, end_us
+                delay_us = 0.0 if armed.commanded else self.watches[axis].executed.delay_us
+                armed.runs[-1].zero_us, armed.runs[-1].end_us = start_us + delay_us, end_us
 
     def forget(self, axis: int) -> None:
         """The axis' motion came to another end than was predicted."""
@@ -278,11 +284,13 @@ class Outputs:
 
     def advance(self, axis: int, path: Path) -> None:
         """The axis has gone on along `path`; asks what there is to ask of its drive."""
+        executed = self.watches[axis].executed
         for name, armed in self._armed.items():
             tracker = armed.tracker
             if armed.axis != axis or tracker is None:
                 continue
-            self._tell(armed, tracker.advance(path))
+            seen = executed.commanded if armed.commanded else path
+            self._tell(armed, tracker.advance(seen or path))
             if armed.answer is not None and armed.answer[2] <= path.t_us[-1]:
                 self._report(armed, tracker, name)
             if tracker.lost:
