@@ -1,7 +1,8 @@
 """Tests marked `socketcan`: run here where the kernel has vcan, else in a user-mode Linux.
 
 In the second case one guest (uml/run) runs them all with a pytest of its own, which writes its
-reports to a file; they are then given out here as if the tests had run here.
+reports to a file; they are then given out here as if the tests had run here. Of a module all tests
+are marked, or none: pytest sets up and tears down modules only around tests that run here.
 """
 
 from __future__ import annotations

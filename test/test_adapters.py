@@ -1,36 +1,19 @@
-"""The driver on the adapters that need no CAN hardware.
+"""The driver on adapters that need neither CAN hardware nor privileges: `virtual` and `slcan`.
 
-The drives are in another process; those on `virtual` can only be in the same. `udp_multicast`
-runs where SocketCAN does (marker `socketcan`), in a network of the tests' own.
+The drives are in another process; those on `virtual` can only be in the same.
 """
 
 from __future__ import annotations
 
-import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from two_processes import QC_PER_M, Drives, Rig, rig
+from two_processes import TARGET_M, Drives, assert_log_ends_at, assert_moves, rig
 
 from epos2_ros.config import SimulationConfig
 from epos2_ros.errors import BusError
-
-UDP_GROUP = "239.74.163.2"
-TARGET_M = (0.05, -0.02)
-
-
-def assert_log_ends_at(log: dict[str, np.ndarray], target_m: tuple[float, float]) -> None:
-    for node, wanted in enumerate(target_m, start=1):
-        assert log[f"node_{node}_demand_qc"][-1] == round(wanted * QC_PER_M)
-
-
-def assert_moves(made: Rig) -> None:
-    snapshot = made.go_to(TARGET_M)
-    assert (snapshot.dropped_frames, snapshot.error_frames) == (0, 0)
-    assert all(axis.records_sent > 3 for axis in snapshot.axes)
-
 
 # ---------------------------------------------------------------------------- virtual
 
@@ -95,41 +78,3 @@ def test_slcan_pulled_out_and_plugged_in_again(port: Port) -> None:
         made.driver.enable()
         assert made.snapshot().axes[0].position == 0.0  # not the old drives
         assert_moves(made)
-
-
-# ---------------------------------------------------------------------------- udp_multicast
-
-
-def ip(*arguments: str) -> None:
-    subprocess.run(["ip", *arguments], check=True)
-
-
-@pytest.fixture
-def loopback() -> Iterator[None]:
-    """Multicast stays on this machine; `ip link set lo down` breaks it."""
-    ip("link", "set", "lo", "multicast", "on", "up")
-    ip("route", "replace", "239.0.0.0/8", "dev", "lo")
-    yield
-    ip("link", "set", "lo", "up")
-
-
-@pytest.mark.socketcan
-def test_udp_multicast_without_a_network_and_with_one_again(loopback: None, tmp_path: Path) -> None:
-    place = ("--interface", "udp_multicast", "--channel", UDP_GROUP)
-    drives = Drives(*place, "--nodes", "1-2", log=tmp_path / "log.npz")
-    try:
-        with rig("udp_multicast", UDP_GROUP) as made:
-            assert_moves(made)
-            ip("link", "set", "lo", "down")
-            snapshot = made.wait(lambda snapshot: snapshot.state == "fault")
-            assert f"udp_multicast:{UDP_GROUP} " in snapshot.reason
-            with pytest.raises(BusError):
-                made.driver.reset_fault()
-            ip("link", "set", "lo", "up")
-            ip("route", "replace", "239.0.0.0/8", "dev", "lo")
-            made.driver.reset_fault()
-            made.driver.enable()
-            made.go_back()
-        assert_log_ends_at(drives.close(), (0.0, 0.0))
-    finally:
-        drives.kill()

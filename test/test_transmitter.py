@@ -13,7 +13,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from epos2_ros.bus.transmitter import MAX_IN_FLIGHT, Lane, Transmitter, lane_of, worst_case_bits
+from epos2_ros.bus.transmitter import (
+    MAX_IN_FLIGHT,
+    MAX_UNHEARD,
+    Lane,
+    Transmitter,
+    lane_of,
+    worst_case_bits,
+)
 from epos2_ros.protocol.frame import Frame
 from epos2_ros.sim.can_bus import INTERFRAME_BITS, frame_bits
 
@@ -181,6 +188,33 @@ def test_a_host_that_was_stopped_does_not_blame_the_adapter():
     assert 5e6 < transmitter.deadline_us < 5.1e6
     assert transmitter.on_echo(SYNC)
     assert transmitter.pump(5.1e6) == []
+    assert not transmitter.stalled
+
+
+def test_a_host_that_listens_late_goes_on_sending_at_the_pace_of_the_bus():
+    """Frames that wait to be read say nothing about the adapter: by its time each is through."""
+    transmitter = Transmitter(lambda frame: True, BITRATE, echoes=True)
+    for number in range(20):
+        transmitter.push(record(1, number))
+    handed = []
+    for now_us in (0.0, 1.0, FRAME_US, 2 * FRAME_US, 4 * FRAME_US):
+        transmitter.pump(now_us, heard_us=-1.0)
+        handed.append(20 - transmitter.waiting)
+    assert handed == [3, 3, 4, 5, 7]
+    assert transmitter.deadline_us == 5 * FRAME_US
+    transmitter.pump(8 * FRAME_US, heard_us=8 * FRAME_US)  # now it has listened: no echo came
+    assert transmitter.waiting == 13
+    for number in range(7):
+        assert transmitter.on_echo(record(1, number))
+
+
+def test_a_host_that_never_listens_stops_sending():
+    transmitter = Transmitter(lambda frame: True, BITRATE, echoes=True)
+    for number in range(500):
+        transmitter.push(record(1, number))
+        transmitter.pump(number * FRAME_US, heard_us=-1.0)
+    assert 500 - transmitter.waiting == MAX_UNHEARD
+    assert transmitter.deadline_us > 500 * FRAME_US
     assert not transmitter.stalled
 
 

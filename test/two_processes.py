@@ -23,6 +23,7 @@ from epos2_ros.protocol.group import Event
 ROOT = Path(__file__).parents[1]
 LEAD = 0.02  # metres of the gantry per motor turn of 2000 qc
 QC_PER_M = 2000 / LEAD
+TARGET_M = (0.05, -0.02)  # a short move
 SCAN = example("raster_scan")  # gantry_x and gantry_y, positions and velocities, 9 s
 
 
@@ -152,3 +153,14 @@ def assert_executed(log: dict[str, np.ndarray], tolerance_qc: float = 1.0) -> fl
         starts.add(log[f"node_{node}_time_us"][begin])
     assert len(starts) == 1
     return starts.pop()
+
+
+def assert_log_ends_at(log: dict[str, np.ndarray], target_m: tuple[float, float]) -> None:
+    for node, wanted in enumerate(target_m, start=1):
+        assert log[f"node_{node}_demand_qc"][-1] == round(wanted * QC_PER_M)
+
+
+def assert_moves(made: Rig) -> None:
+    snapshot = made.go_to(TARGET_M)
+    assert (snapshot.dropped_frames, snapshot.error_frames) == (0, 0)
+    assert all(axis.records_sent > 3 for axis in snapshot.axes)

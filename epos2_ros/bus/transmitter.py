@@ -2,9 +2,11 @@
 
 SocketCAN's transmit queue holds ten frames by default and answers a burst with ENOBUFS; other
 adapters block or drop. So few frames are handed over at a time, the next when the bus has taken
-one, which the adapter's echo tells or, where there is none, the time that a frame needs. What
-the adapter has not taken stays here, in order. SYNC and controlwords overtake records, records
-overtake SDO requests; within a lane nothing overtakes anything.
+one, which the adapter's echo tells or, where there is none, the time that a frame needs. A host
+that computes listens late; what it has not listened for is taken for sent in its time, or a busy
+host would send less and less. What the adapter has not taken stays here, in order. SYNC and
+controlwords overtake records, records overtake SDO requests; within a lane nothing overtakes
+anything.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from epos2_ros.protocol import epos2
 from epos2_ros.protocol.frame import Frame
 
 MAX_IN_FLIGHT = 3  # handed over, not yet on the bus: bounds how long a SYNC waits
+MAX_UNHEARD = 100  # handed over, no echo heard: a host so far behind has to listen first
 ECHO_TIMEOUT_US = 500_000.0
 LOOK_AGAIN_US = 20_000.0  # when an echo is overdue and the bus was not yet listened to so far
 
@@ -50,7 +53,7 @@ class _Sent(NamedTuple):
 
     frame: Frame
     due_us: float  # when it should be through, by its length and those before it
-    echoes: int  # how many had been seen until then
+    echoes: int  # how many will have been seen when all before it are through
 
 
 class Transmitter:
@@ -97,8 +100,10 @@ class Transmitter:
         Returns frames that are through by now though no echo told, and the time at which each,
         by its length and those before it, was on the bus: all frames, for adapters without echo.
         """
-        through = self._settle(now_us, now_us if heard_us is None else heard_us)
-        while len(self._in_flight) < MAX_IN_FLIGHT and now_us >= self._retry_us:
+        heard_us = now_us if heard_us is None else heard_us
+        through = self._settle(now_us, heard_us)
+        room = self._room(now_us, heard_us)
+        for _ in range(room if now_us >= self._retry_us else 0):
             lane = next((lane for lane in self._lanes if lane), None)
             if lane is None:
                 break
@@ -109,8 +114,9 @@ class Transmitter:
             frame = lane.popleft()
             before_us = self._in_flight[-1].due_us if self._in_flight else now_us
             due_us = max(before_us, now_us) + self._duration_us(frame)
-            self._in_flight.append(_Sent(frame, due_us, self._echoes_seen))
-        self.deadline_us = self._next_us(now_us)
+            echoes = self._echoes_seen + len(self._in_flight)
+            self._in_flight.append(_Sent(frame, due_us, echoes))
+        self.deadline_us = self._next_us(now_us, heard_us)
         return through
 
     def reset(self) -> None:
@@ -134,18 +140,27 @@ class Transmitter:
             self._in_flight.popleft()
             self.dropped += self.echoes
             # Later frames have come back: so did this one, only that nobody saw it.
-            if not self.echoes or self._echoes_seen >= sent.echoes + MAX_IN_FLIGHT:
+            if not self.echoes or self._echoes_seen > sent.echoes:
                 through.append((sent.frame, sent.due_us))
             else:
                 self.stalled = True
         return through
 
-    def _next_us(self, now_us: float) -> float:
+    def _room(self, now_us: float, heard_us: float) -> int:
+        """How many frames may be handed over now."""
+        due_us = [sent.due_us for sent in self._in_flight]
+        on_the_way = sum(due > now_us or due <= heard_us for due in due_us)
+        return min(MAX_IN_FLIGHT - on_the_way, MAX_UNHEARD - len(due_us))
+
+    def _next_us(self, now_us: float, heard_us: float) -> float:
         due = math.inf
         if self._in_flight:
             due = self._in_flight[0].due_us
             if self.echoes:
                 due = max(due + ECHO_TIMEOUT_US, now_us + LOOK_AGAIN_US)
-        if self.waiting and len(self._in_flight) < MAX_IN_FLIGHT:
-            due = min(due, max(self._retry_us, now_us))
+        if self.waiting:
+            if self._room(now_us, heard_us) > 0:
+                return min(due, max(self._retry_us, now_us))
+            awaited = (sent.due_us for sent in self._in_flight if sent.due_us > now_us)
+            due = min(due, min(awaited, default=math.inf))
         return due
