@@ -408,6 +408,24 @@ def test_a_difference_from_the_prediction_is_told() -> None:
     assert made.notices == ["compare.camera: 200 events predicted, 100 reported"]
 
 
+def test_motions_one_right_after_the_other_are_compared_each_with_its_own() -> None:
+    """There was no time to predict the first; what it fires belongs to no other."""
+    made, drive = bench(output("interval", start=0.0005, interval=0.001))
+    made.outputs.begin(0)
+    made.move(x=0.2)
+    back = predicted(made, -0.2)
+    back = Path(back.t_us, 400_000 + back.position_qc, back.velocity_qc_s)
+    for path, target in ((back, 0.0), (predicted(made, 0.2), 0.2)):
+        made.outputs.begin(0)
+        made.outputs.expect(foreseen(made, path))
+        start_us = made.move(x=target)
+        made.outputs.finished(0, start_us, made.now_us)
+    made.run(1.0)
+    assert made.notices == []
+    tally = made.outputs.tally("camera")
+    assert (tally.events, tally.predicted, tally.reported) == (600, 200, 200)
+
+
 def test_what_is_left_of_a_sequence_is_predicted() -> None:
     made, drive = bench(output("interval", start=0.01, interval=0.01, end=0.05))
     made.move(x=0.025)

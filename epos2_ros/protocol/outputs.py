@@ -15,7 +15,7 @@ from typing import NamedTuple
 from epos2_ros.compare_config import CompareConfig
 from epos2_ros.config import AxisConfig
 from epos2_ros.errors import ConfigurationError
-from epos2_ros.motion.compare import Prediction, Trigger, difference
+from epos2_ros.motion.compare import LATE_US, Prediction, Trigger, difference
 from epos2_ros.motion.crossings import Grid, Path
 from epos2_ros.motion.units import AxisUnits
 from epos2_ros.protocol import copley_compare, epos2_compare
@@ -162,6 +162,7 @@ class Outputs:
     def _start(self, armed: _Armed, position_qc: int) -> list[SdoWrite]:
         armed.tracker = armed.output.tracker(position_qc)
         armed.answer, armed.asked = None, False
+        armed.forget()
         return armed.output.arm(position_qc)
 
     def set_positions(self, name: str, positions: Sequence[float]) -> None:
@@ -228,8 +229,11 @@ class Outputs:
     def begin(self, axis: int) -> None:
         """The axis begins a motion that a prediction will be made of."""
         for armed in self._armed.values():
-            if armed.axis == axis:
-                armed.runs.append(_Run())
+            if armed.axis != axis or armed.output.trigger is None:
+                continue
+            if armed.runs and armed.runs[-1].expected is None:  # there was no time to predict it
+                armed.forget()
+            armed.runs.append(_Run())
 
     def expect(self, predictions: Mapping[str, Prediction]) -> None:
         """By output, the prediction of the motion that began last, instead of an earlier one."""
@@ -264,9 +268,10 @@ class Outputs:
         if run.expected is None or not settled:
             return
         armed.runs.popleft()
-        until_us = run.end_us + (armed.runs[0].zero_us - run.end_us) / 2 if armed.runs else inf
-        mine = [event for event in armed.told if event[2] < until_us]
-        del armed.told[: len(mine) if armed.runs else None]
+        from_us = run.zero_us - LATE_US
+        until_us = run.end_us + LATE_US if armed.runs else inf  # the next begins after its end
+        mine = [event for event in armed.told if from_us <= event[2] < until_us]
+        armed.told = [event for event in armed.told if event[2] >= until_us]
         tally, expected = armed.tally, run.expected.fired
         tally.predicted, tally.reported = len(expected), len(mine)
         tally.difference, tally.late_us = difference(expected, mine, run.zero_us)
