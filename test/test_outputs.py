@@ -435,6 +435,15 @@ def test_what_is_left_of_a_sequence_is_predicted() -> None:
     assert left.count.tolist() == [60_000, 80_000, 100_000]
 
 
+def test_a_sequence_goes_on_where_the_motion_before_will_leave_it() -> None:
+    """Also before the drive has reported what that motion fired."""
+    made, _ = bench(output("interval", start=0.01, interval=0.01, direction="up"))
+    made.outputs.begin(0)
+    made.outputs.expect(foreseen(made, predicted(made, 0.055)))
+    left = foreseen(made, predicted(made, 0.1))["camera"].fired
+    assert left.count.tolist() == [120_000, 140_000, 160_000, 180_000, 200_000]
+
+
 def test_an_interval_that_is_no_whole_number_of_counts_is_said() -> None:
     axes = (copley_axis(),)
     outputs = Outputs(axes, [output("interval", start=0.0, interval=0.0010003)], [])

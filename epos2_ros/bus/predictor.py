@@ -14,6 +14,7 @@ from functools import partial
 import numpy as np
 
 from epos2_ros.bus.reactor import Reactor
+from epos2_ros.bus.worker import tell_failure
 from epos2_ros.motion.compare import predict
 from epos2_ros.motion.crossings import Path
 from epos2_ros.motion.foresight import Foresight
@@ -82,17 +83,20 @@ class Predictor:
         assert reference is not None
         self._reference = reference
         if motion is before:  # the same up to the end of what is committed
-            self._thread.submit(self._extend, reference, group.feeder.committed_ms)
+            self._compute(partial(self._extend, reference, group.feeder.committed_ms))
         else:
             self._begin(reference)
 
     def _begin(self, reference: Reference) -> None:
         foresights = {}
         for column, axis in enumerate(self._in_group):
-            self._outputs.begin(axis)
             for name, trigger in self._outputs.triggers(axis).items():
                 foresights[name] = column, Foresight(trigger, reference.units[column])
-        self._thread.submit(self._predict, reference, foresights)
+            self._outputs.begin(axis)
+        self._compute(partial(self._predict, reference, foresights))
+
+    def _compute(self, job: Callable[[], None]) -> None:
+        self._thread.submit(job).add_done_callback(tell_failure)
 
     def _predict(self, reference: Reference, foresights: dict[str, tuple[int, Foresight]]) -> None:
         self._foresights, self._until_ms = foresights, 0
@@ -100,11 +104,12 @@ class Predictor:
 
     def _extend(self, reference: Reference, from_ms: int) -> None:
         """From there on the motion goes along `reference`."""
+        if not self._foresights:
+            return
         if from_ms > self._until_ms:  # there is a gap: no prediction of this motion
             self._foresights = {}
             for axis in self._in_group:
                 self._reactor.post(partial(self._outputs.forget, axis))
-        if not self._foresights:
             return
         self._until_ms = from_ms
         for _, foresight in self._foresights.values():
@@ -143,12 +148,12 @@ class Predictor:
             self._moves = []
 
     def _begin_move(self, axis: int, move: Trapezoid) -> None:
-        self._outputs.begin(axis)
         units, path = self._outputs.units[axis], move.path(0.0)
         predictions = {
             name: predict(trigger, path, units)
             for name, trigger in self._outputs.triggers(axis).items()
         }
+        self._outputs.begin(axis)
         self._outputs.expect(predictions)
         for name, prediction in predictions.items():
             for warning in prediction.warnings:

@@ -12,6 +12,12 @@ from epos2_ros.errors import BusError
 T = TypeVar("T")
 
 
+def tell_failure(job: Future[None]) -> None:
+    """For a job whose answer nobody waits for: what it raised is told, not swallowed."""
+    if not job.cancelled():
+        job.result()  # in a callback of a future, this is logged with its traceback
+
+
 class Worker:
     """Jobs run one after another, in the order in which they come from any thread."""
 
@@ -22,7 +28,8 @@ class Worker:
 
     def post(self, job: Callable[[], None]) -> None:
         """Run `job` soon. Once the worker is closed nothing is: the bus is about to be."""
-        self._submit(job)
+        if (answer := self._submit(job)) is not None:
+            answer.add_done_callback(tell_failure)
 
     def run(self, job: Callable[[], T]) -> T:
         """What `job` returns or raises; BusError when the worker is closed before it is run."""
