@@ -57,7 +57,7 @@ def tables(most_points: int) -> Iterator[Table]:
     points = [alone(conversion, count, 6) for count in POINTS if count <= most_points]
     yield Table("Conversion of six axes, over points", points, converted)
     axes = [alone(conversion, round(AXES_SECONDS / STEP_S), count) for count in AXES]
-    yield Table(f"Conversion of {AXES_SECONDS} s, over axes", axes, converted)
+    yield Table("Conversion of about a minute, over axes", axes, converted)
     delays = [alone(latency, round(seconds / STEP_S)) for seconds in LATENCY_SECONDS]
     yield Table("From the message to the first records of six axes [ms]", delays, conditions)
 
