@@ -114,7 +114,7 @@ def test_a_full_transmit_queue_loses_and_reorders_nothing(slow_vcan: str, drives
         message = can.Message(arbitration_id=0x6E0, is_extended_id=False)
         with can.Bus(slow_vcan, "socketcan") as bus:
             while not ended.wait(0.1):
-                for _ in range(25):
+                for _ in range(20):
                     try:
                         bus.send(message)
                     except can.CanOperationError:

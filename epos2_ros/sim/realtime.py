@@ -22,7 +22,7 @@ from .epos2 import Epos2
 from .recorder import save
 from .slave import Slave
 
-CYCLE_US = 2000.0  # drives are run no more often, for all control cycles since the last time
+CYCLE_US = 4000.0  # drives are run no more often, for all control cycles since the last time
 TRANSMIT_QUEUE = 256  # frames; the oldest are lost when the bus doesn't take them
 _LONGEST_WAIT_S = 0.1  # for a frame, so that `stop` is noticed
 _OLDEST_STAMP_US = 1e6  # an older time stamp is of another clock
