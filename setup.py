@@ -31,6 +31,7 @@ setup(
     install_requires=[
         "canopen~=2.4",
         "matplotlib",
+        "numba",  # optional: without it the records are the same, but take much longer
         "numpy",
         "python-can[multicast,serial]~=4.5",
         "pyyaml",

@@ -128,6 +128,9 @@ GROUP: dict[str, Spec] = {
     "ipm.tolerance": Spec(
         1.0, "largest deviation of the executed curve from the commanded one [qc]", 0.5, 10_000.0
     ),
+    "ipm.smoothness": Spec(
+        0.03, "weight of smoothness against few records; 0 is fewest records", 0.0, 1e6
+    ),
     "constraints.start_tolerance": Spec(
         0.01, "how far the first point may lie from where the robot is [rad or m]", 0.0
     ),
@@ -249,6 +252,7 @@ class DriverParameters:
             sync_source=values["sync.source"],
             buffer_time=values["ipm.buffer_time"],
             tolerance=values["ipm.tolerance"],
+            smoothness=values["ipm.smoothness"],
             start_tolerance=values["constraints.start_tolerance"],
             allow_partial_joints_goal=values["allow_partial_joints_goal"],
             state_rate=values["state_rate"],

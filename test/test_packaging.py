@@ -190,7 +190,7 @@ class TestManifest:
         "numpy": "python3-numpy",
         "yaml": "python3-yaml",
     }
-    OPTIONAL = {"control_msgs"}
+    OPTIONAL = {"control_msgs", "numba"}
 
     def test_is_an_ament_python_package_of_format_3(self) -> None:
         assert self.manifest.get("format") == "3"

@@ -224,8 +224,8 @@ def test_plan_and_driver_agree(monkeypatch):
     mean = bits.sum() / config.bitrate / planned.duration_s
     until = np.concatenate(([0], np.cumsum(bits)))
     seconds = until[np.searchsorted(t_us, t_us + 1e6)] - until[:-1]
-    # It counts what the drives may report at most.
-    assert mean <= planned.load.records + planned.load.others <= 1.3 * mean
+    # It counts what the drives may report at most; those of axes that rest report nothing.
+    assert mean <= planned.load.records + planned.load.others <= 1.5 * mean
     assert seconds.max() <= planned.load.busiest * config.bitrate <= 1.4 * seconds.max()
 
 

@@ -16,6 +16,8 @@ ACCELERATION_HEADROOM = 1.25
 """A drive faults at the joint's limit times this and warns halfway there: cubics between rounded
 knots overshoot a commanded curve that runs along its limit. The commanded curve itself is held
 to the limit exactly, before anything is sent."""
+ROUNDING_S = 0.02
+"""Acceleration has a velocity unit within this time on top: a knot's velocity is rounded."""
 
 
 def drive_settings(axis: AxisConfig, config: DriverConfig) -> Epos2Settings:
@@ -62,6 +64,7 @@ def group_settings(config: DriverConfig) -> GroupSettings:
         sync_period_us=config.sync_period * 1e6,
         buffer_time_ms=config.buffer_time * 1e3,
         tolerance_qc=config.tolerance,
+        smoothness=config.smoothness,
     )
 
 
@@ -76,4 +79,5 @@ def _acceleration(axis: AxisConfig, units: AxisUnits, headroom: float) -> int | 
     """0x60C5, 0x6083 [rpm/s]; None leaves the drive's."""
     if axis.max_acceleration is None:
         return None
-    return units.acceleration_object(axis.max_acceleration * headroom)
+    rounding = abs(units.from_velocity_units(1.0)) / ROUNDING_S
+    return units.acceleration_object(axis.max_acceleration * headroom + rounding)

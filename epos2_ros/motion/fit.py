@@ -4,6 +4,9 @@ Per axis a record ends a segment of 1 … 255 ms at an integer position [qc] and
 velocity [drive velocity units]; between the knots the drive interpolates a cubic. The
 deviation of the executed curve is checked at every millisecond, which is all the drive
 evaluates (maxon, application note "Interpolation Position Mode", 2.1), rounding included.
+
+Some segments are looked ahead (`knots` says how) and one record at a time is committed, so the
+first records cost the same whether the reference lasts ten seconds or ten minutes.
 """
 
 from __future__ import annotations
@@ -17,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epos2_ros.errors import ConfigurationError, TrajectoryError
-from epos2_ros.motion.pvt import Cubic
+from epos2_ros.motion import knots
 from epos2_ros.motion.record import MAX_SEGMENT_MS, Record
 
 
@@ -30,9 +33,6 @@ class Reference(Protocol):
     def positions(self, k: NDArray[np.int64]) -> NDArray[np.float64]:
         """[m] times [ms] → [m, axes] positions [qc]."""
 
-    def velocities(self, k: NDArray[np.int64]) -> NDArray[np.float64]:
-        """[m] times [ms] → [m, axes] velocities [qc/s]."""
-
 
 @dataclass(frozen=True)
 class FitAxis:
@@ -43,28 +43,22 @@ class FitAxis:
     max_acceleration_qc_s2: float = inf  # 0x60C5
 
 
-@dataclass
-class _Knot:
-    """Where an axis' committed records end."""
-
-    k: int  # path time [ms]
-    position: int
-    velocity: int
-    ended: bool = False
-    segments: int = 0
-
-
 class Fitter:
-    """Turns a reference into records, axis by axis, on demand."""
+    """Turns a reference into records, axis by axis, on demand.
+
+    `smoothness` weighs fewest records against how well the commanded acceleration is kept: it is
+    the number of records given for the mean square of the deviation's acceleration to be lower
+    by (1000 tolerances/s²)² during a second. At 0 it decides between ends that get equally far.
+    """
 
     def __init__(
         self,
         axes: Sequence[FitAxis],
         tolerance_qc: float = 1.0,
         max_segment_ms: int = MAX_SEGMENT_MS,
-        smoothness: float = 0.0,
+        smoothness: float = 0.03,
     ) -> None:
-        if not tolerance_qc >= 0.5:
+        if not 0.5 <= tolerance_qc < inf:
             raise ConfigurationError(
                 f"tolerance is {tolerance_qc:g} qc; positions are whole counts, "
                 "so it must be at least 0.5 qc"
@@ -73,76 +67,109 @@ class Fitter:
             raise ConfigurationError(
                 f"longest segment is {max_segment_ms} ms; allowed are 1 … {MAX_SEGMENT_MS} ms"
             )
-        self._axes = tuple(axes)
-        self._tolerance = tolerance_qc
-        self.max_segment_ms = max_segment_ms
-        self._reference: Reference | None = None
-        self._knots: list[_Knot] = []
+        if not 0 <= smoothness < inf:
+            raise ConfigurationError(f"smoothness is {smoothness:g}; it must be at least 0")
+        self._tolerance_qc = tolerance_qc
+        self._max_segment_ms = max_segment_ms
+        self._aims = [
+            knots.vector(
+                (
+                    axis.velocity_unit_qc_s * 1e-3,
+                    tolerance_qc,
+                    axis.max_velocity_qc_s * 1e-3,
+                    axis.max_acceleration_qc_s2 * 1e-6,
+                    max(smoothness, 1e-6),
+                    max_segment_ms,
+                )
+            )
+            for axis in axes
+        ]
+        knots.prepare()
+        self._samples: _Samples | None = None
+        self._plans: list[knots.Vector] = []
+        self._ended: list[bool] = []
+
+    @property
+    def max_segment_ms(self) -> int:
+        """Longest segment [ms] of what is committed from now on."""
+        return self._max_segment_ms
+
+    @max_segment_ms.setter
+    def max_segment_ms(self, longest: int) -> None:
+        self._max_segment_ms = longest
+        for aims in self._aims:
+            aims[5] = longest
 
     def begin(self, reference: Reference, positions_qc: Sequence[int]) -> None:
         """A new motion; every axis rests at `positions_qc` at path time 0."""
-        self._knots = [_Knot(0, int(p), 0) for p in positions_qc]
-        self._reference = reference
+        self._plans = [knots.plan_from_rest(position) for position in positions_qc]
+        self._ended = [False for _ in positions_qc]
+        self.replace(reference)
 
     def replace(self, reference: Reference) -> None:
         """Go on along `reference`, which is the old one up to every axis' committed knot."""
-        if any(knot.ended for knot in self._knots):
+        if any(self._ended):
             raise ValueError("an axis' end record is committed; begin a new motion")
-        self._reference = reference
+        for plan in self._plans:
+            knots.forget(plan)
+        self._samples = _Samples(reference)
 
     def committed_ms(self, axis: int) -> int:
         """Path time of the axis' last committed knot."""
-        return self._knots[axis].k
+        return int(self._plans[axis][0])
 
     def next(self, axis: int) -> Record | None:
-        """Commit the axis' next record; `Record(p, 0, 0)` ends the motion, then None."""
-        knot, reference = self._knots[axis], self._reference
-        if reference is None or knot.ended:
-            return None
-        if knot.k >= reference.end_ms:
-            knot.ended = True
-            return Record(knot.position, 0, 0)
-        record = self._longest(axis, knot, reference)
-        knot.k += record.time
-        knot.position, knot.velocity = record.position, record.velocity
-        knot.segments += 1
-        return record
+        """Commit the axis' next record; `Record(p, 0, 0)` ends the motion, then None.
 
-    def _longest(self, axis: int, knot: _Knot, reference: Reference) -> Record:
-        """The longest segment from `knot` that keeps tolerance and limits."""
-        limits = self._axes[axis]
-        unit = limits.velocity_unit_qc_s
-        left = reference.end_ms - knot.k
-        longest = min(self.max_segment_ms, left)
-        if knot.segments < 2:  # three segments: two records besides the one in execution
-            longest = min(longest, max(1, (left - 1) // (2 - knot.segments)))
-        grid = knot.k + np.arange(longest + 1)
-        p = reference.positions(grid)[:, axis] - knot.position
-        v = reference.velocities(grid)[:, axis]
-        trials = [longest]
-        while trials[-1] > 1:
-            trials.append(trials[-1] * 7 // 8)
-        for time in trials:
-            final = time == left
-            base = np.array([round(p[time] + knot.position) - knot.position])
-            speed = np.zeros(1) if final else np.round(v[time] / unit) + np.arange(-1, 2)
-            if not final:
-                base = base[0] + np.arange(-1, 2)
-            position, velocity = (x.ravel() for x in np.meshgrid(base, speed))
-            duration = time * 1e-3
-            cubic = Cubic.between(0.0, knot.velocity * unit, position, velocity * unit, duration)
-            t = (np.arange(1, time + 1) - time)[:, None] * 1e-3
-            error = np.max(np.abs(cubic.position(t) - p[1 : time + 1, None]), axis=0)
-            top_v, top_a = cubic.extremes(np.full(len(position), duration))
-            good = (
-                (error <= self._tolerance)
-                & (top_v <= limits.max_velocity_qc_s)
-                & (top_a <= limits.max_acceleration_qc_s2)
-            )
-            if np.any(good):
-                best = int(np.argmin(np.where(good, error, inf)))
-                return Record(knot.position + int(position[best]), int(velocity[best]), time)
-        raise TrajectoryError(
-            f"axis {axis}: no segment from {knot.k} ms on stays within {self._tolerance:g} qc "
-            "and the drive's velocity and acceleration limits"
+        TrajectoryError when no segment keeps tolerance and limits.
+        """
+        samples, plan = self._samples, self._plans[axis]
+        if samples is None or self._ended[axis]:
+            return None
+        k = int(plan[0])
+        if k >= samples.end_ms:
+            self._ended[axis] = True
+            return Record(int(plan[1]), 0, 0)
+        looked_at = k + knots.looked_at(self.max_segment_ms)
+        if looked_at > samples.last_ms:
+            earliest = min(int(plan[0]) for plan in self._plans)
+            samples.extend(earliest, looked_at + 4 * self.max_segment_ms)
+        positions, bends = samples.paths[axis]
+        time = knots.advance(
+            positions, bends, samples.first_ms, samples.end_ms, self._aims[axis], plan
         )
+        if time == 0:
+            raise TrajectoryError(
+                f"no segment from {k} ms on stays within {self._tolerance_qc:g} qc "
+                "and the drive's velocity and acceleration limits"
+            )
+        return Record(int(plan[1]), int(plan[2]), time)
+
+
+class _Samples:
+    """A reference on the path-time grid, from the earliest committed knot to what is looked at."""
+
+    def __init__(self, reference: Reference) -> None:
+        self.end_ms = reference.end_ms
+        self.first_ms = 0
+        self.last_ms = -1
+        self.paths: list[tuple[knots.Vector, knots.Vector]] = []
+        self._reference = reference
+        self._positions: NDArray[np.float64] | None = None  # [axes, times] [qc]
+
+    def extend(self, earliest_ms: int, last_ms: int) -> None:
+        """Sample up to `last_ms` and forget what is before `earliest_ms`."""
+        known, next_ms = self._positions, earliest_ms
+        if known is not None:
+            next_ms = self.last_ms + 1
+            known = known[:, earliest_ms - self.first_ms :]
+        k = np.minimum(np.arange(next_ms, last_ms + 1), self.end_ms)
+        new = self._reference.positions(k).T
+        positions = np.concatenate((known, new), axis=1) if known is not None else new
+        bends = np.zeros_like(positions)
+        np.cumsum(np.diff(positions, 2, axis=1) ** 2, axis=1, out=bends[:, 1:-1])
+        self._positions = positions = np.ascontiguousarray(positions)
+        self.first_ms, self.last_ms = earliest_ms, last_ms
+        self.paths = [
+            (knots.vector(p), knots.vector(b)) for p, b in zip(positions, bends, strict=True)
+        ]

@@ -44,6 +44,7 @@ from epos2_ros.bus.driver import Driver, Event
 from epos2_ros.compare_config import CompareConfig
 from epos2_ros.config import DriverConfig
 from epos2_ros.errors import Epos2RosError
+from epos2_ros.motion import knots
 from epos2_ros.motion.move import target_of
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.node import messages
@@ -357,6 +358,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 2
 
     node = DriverNode()
+    if not knots.COMPILED:
+        node.get_logger().warning(
+            "Numba is not installed: fitting takes some fifty times longer (Debian, Ubuntu: "
+            "sudo apt install python3-numba)"
+        )
+    elif not knots.compiled_before():
+        node.get_logger().info("compiling the fitter, once after an installation: some 15 s")
     executor = MultiThreadedExecutor(EXECUTOR_THREADS)
     executor.add_node(node)
     broken: list[BaseException] = []

@@ -10,7 +10,7 @@ from typing import TextIO
 
 import numpy as np
 
-from epos2_ros.bus.settings import ACCELERATION_HEADROOM, VELOCITY_HEADROOM
+from epos2_ros.bus.settings import ACCELERATION_HEADROOM, ROUNDING_S, VELOCITY_HEADROOM
 from epos2_ros.motion.limits import RELATIVE_SLACK
 from epos2_ros.plan import move, outputs
 from epos2_ros.plan.move import MovePlan
@@ -27,7 +27,7 @@ BEYOND = "*"  # marks what is beyond a limit of the joint
 BEYOND_NOTE = (
     f"{BEYOND} beyond the limit, which the commanded curve keeps: records are rounded; drives "
     f"fault at {VELOCITY_HEADROOM:.0%} of the velocity, {ACCELERATION_HEADROOM:.0%} of the "
-    "acceleration"
+    f"acceleration and a velocity unit in {ROUNDING_S * 1000:g} ms"
 )
 CSV_COLUMNS = ("joint", "record", "path_ms", "position_qc", "velocity", "time_ms", "frame")
 

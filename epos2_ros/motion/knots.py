@@ -1,0 +1,716 @@
+"""The search for the next knot of one axis: where a segment can end, and which end is best.
+
+From a knot (p₀, v₀) every cubic is p₀ + v₀·t + b·t² + a·t³. To stay within the tolerance of the
+commanded position p at a millisecond t it has to satisfy
+
+    (p(t) − tolerance − p₀ − v₀·t)/t²  ≤  b + a·t  ≤  (p(t) + tolerance − p₀ − v₀·t)/t²,
+
+which is a strip of the (b, a) plane. So the cubics that stay within the tolerance up to some time
+are a convex polygon, and every further millisecond cuts a piece off it:
+
+- the segment can last until nothing of the polygon is left;
+- the ends it can have at time T and position P lie on one line through the polygon, which is an
+  interval of velocities; the whole ones in it are candidates.
+
+Of the candidates the furthest of each class is tried (a class is: below or above the commanded
+position, and by how much faster or slower). Chosen is not the longest segment but the one from
+whose end the *next* segment gets furthest, because rounded positions and velocities tilt what
+follows. Two ends are carried on side by side; a segment later it shows which was better.
+
+What roughness costs is subtracted from how far an end gets: the squared acceleration of the
+deviation, summed over the segment.
+
+The search cuts the polygon at a few milliseconds of a segment only; a segment is taken when the
+exact check, at every millisecond and with the drive's limits, passes.
+
+When an axis comes to rest for at least a longest segment, the search ends where the rest begins,
+as if it were the end of the motion, and the rest is kept exactly. Where a way on leads nowhere
+because of a drive's limits, the search goes back to the committed knot and on in smaller steps.
+
+Units: ms, qc, qc/ms; velocities of knots are whole drive velocity units.
+
+This is scalar code, compiled by Numba where it is installed; without Numba it runs as it is, with
+the same results. It is one module because what Numba keeps compiled is renewed when the file of
+the function that was called has changed, whatever else that calls.
+"""
+
+from __future__ import annotations
+
+import pathlib
+from collections.abc import Callable, Iterable
+from math import ceil, floor, inf
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+try:
+    import numba
+except ImportError:
+    numba = None  # type: ignore[assignment]
+
+COMPILED = numba is not None
+Vector = list[float] | NDArray[np.float64]  # an array with Numba; without, lists are faster
+_F = TypeVar("_F", bound=Callable[..., Any])
+
+
+def _compiled(function: _F) -> _F:
+    if not COMPILED:
+        return function
+    compiled: Any = numba.njit(cache=True, error_model="numpy", nogil=True)(function)
+    return compiled
+
+
+def vector(values: Iterable[float]) -> Vector:
+    """Numbers as the compiled code takes them."""
+    return np.array(values, dtype=np.float64) if COMPILED else [float(x) for x in values]
+
+
+if COMPILED:
+
+    @_compiled
+    def _room(size: int) -> Vector:
+        return np.empty(size)
+
+else:
+
+    def _room(size: int) -> Vector:
+        return [0.0] * size
+
+
+DEPTH = 3  # segments looked ahead, the one to be committed included
+WIDTH = 2  # ways on that are carried along
+KNOT = 3  # numbers per knot: path time [ms], position [qc], velocity [units]
+_DEBT = KNOT * (DEPTH + 1)  # in a way: its knots, the committed one first, and its debt [ms]
+_WAY = _DEBT + 1
+PLAN = WIDTH * _WAY + 4  # numbers of a plan: its ways, the best first, and
+_WAYS = WIDTH * _WAY
+_KNOWN = _WAYS + 1
+_COMPLETE = _WAYS + 2
+_REST = _WAYS + 3
+# how many ways there are, how many segments of each, whether they reach the end, and the path
+# time up to which the axis rests
+
+_LEVELS = 5  # classes of velocities on either side of the commanded one, at least a unit apart,
+_LEVEL = 4.0  # this many tolerances per length of the segment otherwise
+_SIDES = 4  # below and above the commanded position, far and near
+_CLASSES = _SIDES * (2 * _LEVELS + 1)
+_BETWEEN_CUTS = 0.98  # share of the tolerance used where only some milliseconds are looked at
+_ROUNDED_END = 0.95  # share used for how far the next segment gets: its end is rounded, too
+_AHEAD = (4, 10, 18, 28, 40, 54, 70, 88, 108, 130, 154, 180, 208, 238, 255)  # looked at for it
+_CUTS = 64
+_STRIDE = 4  # ms
+_VERTICES = _CUTS * 24  # of the polygons after all cuts
+_HALF = 160  # polygons are in the lower half of their vectors; the upper is for cutting
+_MOVES = 10  # milliseconds a knot may be moved to make its segments smoother,
+_TILTS = 3  # and units its velocity may be changed
+_ROUGHNESS_UNIT = 1e3  # (1/ms)³ per qc²: 1 record for (1000 qc/s²)²·s at a tolerance of 1 qc
+
+
+class Path(NamedTuple):
+    """Commanded positions of an axis on the path-time grid; times count from its first one."""
+
+    positions: Vector  # [qc]
+    bends: Vector  # running sum of the squared second differences of positions [qc²/ms⁴]
+
+
+class Terms(NamedTuple):
+    """What every segment of an axis has to keep, and what is aimed at."""
+
+    unit: float  # drive velocity unit [qc/ms]
+    tolerance: float  # [qc]
+    fastest: float  # [qc/ms]
+    steepest: float  # [qc/ms²]
+    smoothness: float
+    longest: int  # [ms]
+
+
+class _Polygon(NamedTuple):
+    """Vertices in the (b, a) plane, and the value of b + a·t at each."""
+
+    b: Vector
+    a: Vector
+    value: Vector
+
+
+class _Ends(NamedTuple):
+    """The best end of every class: how far it gets less what it costs, and where it is."""
+
+    gain: Vector
+    k: Vector
+    position: Vector
+    velocity: Vector
+    way: Vector  # index of the way its segment is added to
+
+
+@_compiled
+def _copy(source: Vector, at: int, target: Vector, to: int, count: int) -> None:
+    for i in range(count):
+        target[to + i] = source[at + i]
+
+
+@_compiled
+def _evaluate(polygon: _Polygon, n: int, t: float) -> tuple[float, float]:
+    """Values of b + a·t at the n vertices; returns the smallest and the largest."""
+    least, most = inf, -inf
+    for i in range(n):
+        value = polygon.b[i] + polygon.a[i] * t
+        polygon.value[i] = value
+        least, most = min(least, value), max(most, value)
+    return least, most
+
+
+@_compiled
+def _halve(polygon: _Polygon, n: int, bound: float, sign: float) -> int:
+    """Keep the part with sign·(value − bound) ≥ 0; returns its number of vertices."""
+    b, a, value = polygon
+    m = _HALF
+    b0, a0, value0 = b[n - 1], a[n - 1], value[n - 1]
+    inside0 = sign * (value0 - bound)
+    for i in range(n):
+        b1, a1, value1 = b[i], a[i], value[i]
+        inside1 = sign * (value1 - bound)
+        if (inside0 < 0) != (inside1 < 0):
+            share = inside0 / (inside0 - inside1)
+            b[m] = b0 + share * (b1 - b0)
+            a[m] = a0 + share * (a1 - a0)
+            value[m] = bound
+            m += 1
+        if inside1 >= 0:
+            b[m], a[m], value[m] = b1, a1, value1
+            m += 1
+        b0, a0, value0, inside0 = b1, a1, value1, inside1
+    for i in range(m - _HALF):
+        b[i], a[i], value[i] = b[_HALF + i], a[_HALF + i], value[_HALF + i]
+    return m - _HALF
+
+
+@_compiled
+def _cut(polygon: _Polygon, n: int, least: float, most: float, low: float, high: float) -> int:
+    """Keep low ≤ value ≤ high; the values are between least and most."""
+    if least > high or most < low:
+        return 0
+    if n > _HALF // 2:  # cutting may double it when rounding has its way; seen to at the end
+        return n
+    if least < low:
+        n = _halve(polygon, n, low, 1.0)
+    if most > high and n > 0:
+        n = _halve(polygon, n, high, -1.0)
+    return n
+
+
+@_compiled
+def _start(
+    path: Path, k: int, p0: float, v0: float, tolerance: float, t0: int, t1: int, steepest: float,
+    polygon: _Polygon,
+) -> int:
+    """The cubics within the tolerance at t0 and t1, within the steepest acceleration at 0."""
+    p, b, a = path.positions, polygon.b, polygon.a
+    y0, w0 = (p[k + t0] - p0 - v0 * t0) / (t0 * t0), tolerance / (t0 * t0)
+    y1, w1 = (p[k + t1] - p0 - v0 * t1) / (t1 * t1), tolerance / (t1 * t1)
+    for i in range(4):  # the corners of a parallelogram, one after the other
+        y = y0 + (w0 if i == 0 or i == 3 else -w0)
+        a[i] = (y1 + (w1 if i < 2 else -w1) - y) / (t1 - t0)
+        b[i] = y - a[i] * t0
+    if steepest == inf:
+        return 4
+    least, most = _evaluate(polygon, 4, 0.0)
+    return _cut(polygon, 4, least, most, -steepest / 2, steepest / 2)
+
+
+@_compiled
+def _reach(
+    path: Path, k: int, p0: float, v0: float, terms: Terms, tolerance: float, polygon: _Polygon
+) -> float:
+    """How long the segment from a knot can get [ms], interpolated between the times looked at."""
+    t0, t1 = _AHEAD[0], _AHEAD[1]
+    n = _start(path, k, p0, v0, tolerance, t0, t1, terms.steepest, polygon)
+    if n == 0:
+        return 1.0
+    overlap = 1.0
+    for step in range(2, len(_AHEAD)):
+        if n == 0 or t1 >= terms.longest:
+            break
+        t0, t1 = t1, _AHEAD[step]
+        tt = t1 * t1
+        y = path.positions[k + t1] - p0 - v0 * t1
+        low, high = (y - tolerance) / tt, (y + tolerance) / tt
+        least, most = _evaluate(polygon, n, t1)
+        missed = max(least - high, low - most) * tt
+        if missed > 0:
+            return min(t0 + (t1 - t0) * overlap / (overlap + missed), float(terms.longest))
+        overlap = (min(most, high) - max(least, low)) * tt
+        n = _cut(polygon, n, least, most, low, high)
+        if n > 0 and terms.steepest < inf:  # the acceleration at t1 is 2·(b + a·3·t1)
+            least, most = _evaluate(polygon, n, 3.0 * t1)
+            n = _cut(polygon, n, least, most, -terms.steepest / 2, terms.steepest / 2)
+            if n == 0:
+                return float(t0)
+    return float(min(t1, terms.longest))
+
+
+@_compiled
+def keeps(
+    path: Path, k: int, p0: float, v0: float, time: int, p1: float, v1: float, terms: Terms
+) -> bool:
+    """Whether a segment keeps the tolerance at every millisecond, and the drive's limits."""
+    mean = (p1 - p0) / time
+    b = (3 * mean - 2 * v0 - v1) / time
+    a = (v0 + v1 - 2 * mean) / (time * time)
+    for t in range(1, time + 1):
+        if abs(((a * t + b) * t + v0) * t + p0 - path.positions[k + t]) > terms.tolerance:
+            return False
+    fastest = abs(v1)
+    if a != 0 and 0 < -b / (3 * a) < time:  # the acceleration turns there
+        fastest = max(fastest, abs(v0 - b * b / (3 * a)))
+    return fastest <= terms.fastest and max(abs(2 * b), abs(2 * b + 6 * a * time)) <= terms.steepest
+
+
+@_compiled
+def _roughness(
+    path: Path, k: int, p0: float, v0: float, time: int, p1: float, v1: float, terms: Terms
+) -> float:
+    """What the roughness of a segment costs, in records: the square of the deviation's
+    acceleration, summed over the segment."""
+    p, k1, m = path.positions, k + time, time - 1
+    if time > 2:
+        # Σ (x″ − p″)² with second differences x″ = b + a·t of the segment and p″ of the commanded
+        # curve, written out so that it takes the latter's values at both ends only.
+        mean = (p1 - p0) / time
+        b = 2 * (3 * mean - 2 * v0 - v1) / time
+        a = 6 * (v0 + v1 - 2 * mean) / (time * time)
+        slope = p[k1] - p[k1 - 1]
+        total = (
+            path.bends[k1 - 1] - path.bends[k]
+            - 2 * b * (slope - p[k + 1] + p[k])
+            - 2 * a * (m * slope - p[k1 - 1] + p[k])
+            + m * b * b + m * time * a * (b + a * (2 * time - 1) / 6)
+        )
+    else:  # ∫ of the square of the cubic with the deviations of position and velocity at both ends
+        dp = (p1 - p[k1] - p0 + p[k]) / time
+        dv0 = v0 - (4 * p[k + 1] - 3 * p[k] - p[k + 2]) / 2
+        dv1 = v1 - (4 * p[k1 + 1] - 3 * p[k1] - p[k1 + 2]) / 2
+        total = 4 * (3 * dp * (dp - dv0 - dv1) + dv0 * dv0 + dv0 * dv1 + dv1 * dv1) / time
+    weight = terms.smoothness * _ROUGHNESS_UNIT / (terms.tolerance * terms.tolerance)
+    return weight * max(total, 0.0)
+
+
+@_compiled
+def _speed(p: Vector, k: int, time: int) -> float:
+    """Commanded velocity at k [qc/ms] from the `time` milliseconds before, where curvature is."""
+    last = p[k] - p[k - 1]
+    return last if time < 2 else (3 * last - p[k - 1] + p[k - 2]) / 2
+
+
+@_compiled
+def _velocities(
+    polygon: _Polygon, at: int, n: int, t: int, c: float, low: float, high: float
+) -> tuple[float, float]:
+    """Range of a on the line b + a·t = c through the polygon whose vertices begin at `at`."""
+    b, a = polygon.b, polygon.a
+    a0 = a[at + n - 1]
+    inside0 = b[at + n - 1] + a0 * t - c
+    for i in range(at, at + n):
+        a1 = a[i]
+        inside1 = b[i] + a1 * t - c
+        if (inside0 < 0) != (inside1 < 0):
+            cross = a0 + (a1 - a0) * inside0 / (inside0 - inside1)
+            low, high = min(low, cross), max(high, cross)
+        a0, inside0 = a1, inside1
+    return low, high
+
+
+@_compiled
+def _enter(
+    path: Path, k0: int, p0: float, v0: float, t: int, debt: float, way: int, terms: Terms,
+    expected: float, aside: float, level: float, polygon: _Polygon, at: int, n: int, ends: _Ends,
+) -> bool:
+    """Enter the ends at time t; the cubics that get there are in the polygon of n vertices at `at`.
+
+    Returns whether any is the first of its class.
+    """
+    unit, steepest, k1 = terms.unit, terms.steepest, k0 + t
+    position = path.positions[k1]
+    speed = _speed(path.positions, k1, t) / unit
+    first_of_class = False
+    for side in range(_SIDES if aside > 0 else 2):
+        p1 = floor(position - aside) if side == 0 else ceil(position + aside)
+        if side > 1:
+            p1 = floor(position) if side == 2 else ceil(position)
+        if abs(p1 - position) > terms.tolerance:
+            continue
+        c = ((p1 - p0) / t - v0) / t  # b + a·t of the cubics that end there
+        if t == 1:
+            low, high = -inf, inf
+        elif n > 0:
+            low, high = _velocities(polygon, at, n, t, c, inf, -inf)
+        else:  # t is 2, before any cut; b + a is within the tolerance, too
+            y = path.positions[k0 + 1] - p0 - v0
+            low, high = c - y - terms.tolerance, c - y + terms.tolerance
+        if steepest < inf:  # accelerations are 2·(c − a·t) and 2·(c + 2·a·t)
+            low = max(low, (c - steepest / 2) / t, (-steepest / 2 - c) / (2 * t))
+            high = min(high, (c + steepest / 2) / t, (steepest / 2 - c) / (2 * t))
+        if low > high:
+            continue
+        slowest = max((v0 + (2 * c + low * t) * t) / unit, -terms.fastest / unit, speed - 1e6)
+        fastest = min((v0 + (2 * c + high * t) * t) / unit, terms.fastest / unit, speed + 1e6)
+        first = max(-_LEVELS, ceil((slowest - speed) / level - 0.5))
+        for j in range(first, min(_LEVELS, floor((fastest - speed) / level + 0.5)) + 1):
+            one = _LEVELS + j + side * (2 * _LEVELS + 1)
+            gain = k1 - debt
+            if gain <= ends.gain[one]:
+                continue
+            v1 = floor(speed + j * level + 0.5)
+            if not slowest <= v1 <= fastest:
+                continue
+            gain -= expected * _roughness(path, k0, p0, v0, t, p1, v1 * unit, terms)
+            if gain > ends.gain[one]:
+                first_of_class = first_of_class or ends.gain[one] == -inf
+                ends.gain[one], ends.k[one], ends.way[one] = gain, k1, way
+                ends.position[one], ends.velocity[one] = p1, v1
+    return first_of_class
+
+
+@_compiled
+def _ends(
+    path: Path, k0: int, p0: float, v0: float, debt: float, way: int, terms: Terms,
+    expected: float, aside: float, shortest: int, last: int, level: float, polygon: _Polygon,
+    ends: _Ends,
+) -> None:
+    """Enter the ends, from `shortest` to path time `last`, of segments from one knot."""
+    step = max(1, shortest // 8)
+    tolerance = terms.tolerance * _BETWEEN_CUTS
+    longest = min(terms.longest, last - k0)
+    # What is left after each cut is kept behind the polygon in work.
+    times, firsts = _room(_CUTS + 1), _room(_CUTS + 2)
+    cuts = 0
+    firsts[0] = 2 * _HALF
+    t = 2 * step
+    n = 0
+    if t <= longest:
+        n = _start(path, k0, p0, v0, tolerance, step, t, terms.steepest, polygon)
+    while n > 0 and cuts < _CUTS and t <= longest:
+        at = int(firsts[cuts])
+        if at + n > 2 * _HALF + _VERTICES:
+            break
+        _copy(polygon.b, 0, polygon.b, at, n)
+        _copy(polygon.a, 0, polygon.a, at, n)
+        times[cuts] = t
+        cuts += 1
+        firsts[cuts] = at + n
+        t += step
+        if t <= longest:
+            least, most = _evaluate(polygon, n, t)
+            tt = t * t
+            y = path.positions[k0 + t] - p0 - v0 * t
+            n = _cut(polygon, n, least, most, (y - tolerance) / tt, (y + tolerance) / tt)
+    latest = min(longest, t)
+    known = cuts
+    t = latest + 1
+    stride = 1
+    while t > shortest:
+        if t < 0.8 * expected:
+            stride = min(step, _STRIDE)
+        t -= stride
+        # The first of its class is searched for in what has been left out, too.
+        later = t
+        while later < min(t + stride, latest + 1):
+            while cuts < known and times[cuts] < later:
+                cuts += 1
+            while cuts > 0 and times[cuts - 1] >= later:
+                cuts -= 1
+            at = int(firsts[max(cuts - 1, 0)])
+            n = int(firsts[cuts]) - at
+            if n == 0 and (t > 2 or step > 1):
+                return
+            first_of_class = _enter(
+                path, k0, p0, v0, later, debt, way, terms, expected, aside, level, polygon, at, n,
+                ends,
+            )
+            if later == t and not first_of_class:
+                break
+            later += 1
+
+
+@_compiled
+def _last(path: Path, k: int, p0: float, v0: float, time: int, terms: Terms) -> float:
+    """What a segment to the end of the motion, `time` later, costs [ms]; inf if there is none."""
+    if time > terms.longest:
+        return inf
+    rest = floor(path.positions[k + time] + 0.5)
+    if not keeps(path, k, p0, v0, time, rest, 0.0, terms):
+        return inf
+    return time * _roughness(path, k, p0, v0, time, rest, 0.0, terms)
+
+
+@_compiled
+def _knot(plan: Vector, way: int, level: int, unit: float) -> tuple[int, float, float]:
+    """Path time, position and velocity [qc/ms] of a knot of a way."""
+    at = way * _WAY + level * KNOT
+    return int(plan[at]), plan[at + 1], plan[at + 2] * unit
+
+
+@_compiled
+def _finish(path: Path, plan: Vector, terms: Terms, end: int) -> bool:
+    """Add to the way from which it is best a segment that ends the motion, if there is one."""
+    known = int(plan[_KNOWN])
+    best, least = -1, inf
+    for way in range(int(plan[_WAYS])):
+        k, p, v = _knot(plan, way, known, terms.unit)
+        cost = plan[way * _WAY + _DEBT] + _last(path, k, p, v, end - k, terms)
+        if cost < least:
+            best, least = way, cost
+    if best < 0:
+        return False
+    _copy(plan, best * _WAY, plan, 0, _WAY)
+    at = KNOT * (known + 1)
+    plan[at], plan[at + 1], plan[at + 2] = end, floor(path.positions[end] + 0.5), 0.0
+    plan[_WAYS], plan[_KNOWN], plan[_COMPLETE] = 1, known + 1, 1
+    return True
+
+
+@_compiled
+def _grow(path: Path, plan: Vector, terms: Terms, end: int) -> bool:
+    """Add to the ways the best segments that end before `end`; whether there are any.
+
+    There are none when tolerance and limits can't be kept.
+    """
+    unit = terms.unit
+    known = int(plan[_KNOWN])
+    before = _room(WIDTH * _WAY)
+    _copy(plan, 0, before, 0, WIDTH * _WAY)
+    size = 2 * _HALF + _VERTICES
+    polygon = _Polygon(_room(size), _room(size), _room(2 * _HALF))
+    ends = _Ends(
+        _room(_CLASSES), _room(_CLASSES), _room(_CLASSES), _room(_CLASSES), _room(_CLASSES)
+    )
+    scores = _room(_CLASSES)
+    level = 1.0
+    for search in range(3):  # the second and third are for the rare case that nothing was found
+        for c in range(_CLASSES):
+            ends.gain[c] = -inf
+        for way in range(int(plan[_WAYS])):
+            k0, p0, v0 = _knot(before, way, known, unit)
+            expected = _reach(path, k0, p0, v0, terms, terms.tolerance, polygon)
+            level = max(level, _LEVEL * terms.tolerance / (expected * unit))
+            last = end - 1
+            aside = max(0.0, terms.tolerance / 2 - 0.5)  # below and above: half a tolerance away
+            left = end - k0
+            if left < 2 * expected:  # it takes two; the second ends exactly where the motion does
+                last, aside = min(last, k0 + max(1, 2 * left // 3)), 0.0
+            if search == 2:
+                last = min(last, k0 + 1)
+            shortest = 1 if search == 1 else max(1, int(0.6 * min(expected, last - k0)))
+            _ends(
+                path, k0, p0, v0, before[way * _WAY + _DEBT], way, terms, expected, aside, shortest,
+                last, level, polygon, ends,
+            )
+        for c in range(_CLASSES):
+            scores[c] = ends.gain[c]
+            if scores[c] > -inf:
+                k1, p1, v1 = int(ends.k[c]), ends.position[c], ends.velocity[c] * unit
+                left = end - k1
+                cost = _last(path, k1, p1, v1, left, terms)
+                if cost < inf:
+                    scores[c] += left - cost
+                else:
+                    ahead = _ROUNDED_END * terms.tolerance
+                    reach = _reach(path, k1, p1, v1, terms, ahead, polygon)
+                    scores[c] += reach if reach < left else left / 2  # it takes two
+        n = 0
+        while n < WIDTH:
+            c = 0
+            for other in range(1, _CLASSES):
+                if scores[other] > scores[c]:
+                    c = other
+            if scores[c] == -inf:
+                break
+            scores[c] = -inf
+            way, k1, p1, v1 = int(ends.way[c]), int(ends.k[c]), ends.position[c], ends.velocity[c]
+            at = KNOT * (known + 1)
+            if n > 0 and plan[at] == k1 and plan[at + 1] == p1 and plan[at + 2] == v1:
+                continue  # where below and above are the same
+            k0, p0, v0 = _knot(before, way, known, unit)
+            if keeps(path, k0, p0, v0, k1 - k0, p1, v1 * unit, terms):
+                _copy(before, way * _WAY, plan, n * _WAY, _WAY)
+                at += n * _WAY
+                plan[at], plan[at + 1], plan[at + 2] = k1, p1, v1
+                plan[n * _WAY + _DEBT] = k1 - ends.gain[c]
+                n += 1
+        if n > 0:
+            plan[_WAYS], plan[_KNOWN] = n, known + 1
+            return True
+    return False
+
+
+@_compiled
+def _settle(path: Path, plan: Vector, terms: Terms) -> None:
+    """Move the first knot of the best way to where the segments on both sides are smoothest."""
+    unit = terms.unit
+    k0, p0, v0 = _knot(plan, 0, 0, unit)
+    k1, p1, v1 = _knot(plan, 0, 1, unit)
+    k2, p2, v2 = _knot(plan, 0, 2, unit)
+    longest = max(k1 - k0, k2 - k1)
+    least = _roughness(path, k0, p0, v0, k1 - k0, p1, v1, terms)
+    least += _roughness(path, k1, p1, v1, k2 - k1, p2, v2, terms)
+    first = max(k0 + 2, k1 - _MOVES, k2 - longest)
+    for k in range(first, min(k2 - 1, k1 + _MOVES + 1, k0 + longest + 1)):
+        position = path.positions[k]
+        speed = floor(_speed(path.positions, k, 2) / unit + 0.5)
+        for side in range(2):
+            p = floor(position) if side == 0 else ceil(position)
+            for units in range(speed - _TILTS, speed + _TILTS + 1):
+                v = units * unit
+                roughness = _roughness(path, k0, p0, v0, k - k0, p, v, terms)
+                if roughness < least:
+                    roughness += _roughness(path, k, p, v, k2 - k, p2, v2, terms)
+                if (
+                    roughness < least
+                    and keeps(path, k0, p0, v0, k - k0, p, v, terms)
+                    and keeps(path, k, p, v, k2 - k, p2, v2, terms)
+                ):
+                    least = roughness
+                    plan[KNOT], plan[KNOT + 1], plan[KNOT + 2] = k, p, units
+
+
+@_compiled
+def _same(plan: Vector, way: int, other: Vector, knots: int) -> bool:
+    """Whether a way begins with the `knots` knots after the committed one in `other`."""
+    same = True
+    for i in range(KNOT, KNOT * (1 + knots)):
+        same = same and plan[way * _WAY + i] == other[i]
+    return same
+
+
+@_compiled
+def _commit(path: Path, plan: Vector, terms: Terms) -> None:
+    """Commit the first knot of the best way, and forget the ways that don't pass it."""
+    best = _room(_WAY)
+    _copy(plan, 0, best, 0, _WAY)
+    shared = 1
+    if plan[_KNOWN] > 1:
+        _settle(path, plan, terms)
+        if not _same(plan, 0, best, 1):
+            shared = 2
+    n = 1
+    for way in range(1, int(plan[_WAYS])):
+        if _same(plan, way, best, shared):
+            _copy(plan, way * _WAY, plan, n * _WAY, _WAY)
+            _copy(plan, KNOT, plan, n * _WAY + KNOT, KNOT)
+            n += 1
+    for way in range(n):
+        _copy(plan, way * _WAY + KNOT, plan, way * _WAY, KNOT * DEPTH)
+    plan[_WAYS] = n
+    plan[_KNOWN] -= 1
+
+
+@_compiled
+def _shift(plan: Vector, by: int) -> None:
+    """Change all times of a plan."""
+    for way in range(WIDTH):
+        for level in range(DEPTH + 1):
+            plan[way * _WAY + level * KNOT] += by
+
+
+@_compiled
+def _complete(path: Path, plan: Vector, terms: Terms, end: int) -> bool:
+    """Look ahead until DEPTH segments or the end are known; False if there is no way on."""
+    while plan[_KNOWN] < DEPTH and plan[_COMPLETE] == 0:
+        if not (_finish(path, plan, terms, end) or _grow(path, plan, terms, end)):
+            return False
+    return True
+
+
+@_compiled
+def forget(plan: Vector) -> None:
+    """Keep of a plan what is committed only."""
+    plan[_DEBT] = plan[_KNOWN] = plan[_COMPLETE] = plan[_REST] = 0
+    plan[_WAYS] = 1
+
+
+@_compiled
+def _next_rest(path: Path, k: int, reach: int, last: int, least: int) -> tuple[int, int]:
+    """From when to when the axis rests next for at least `least` ms, as far as is known.
+
+    Where no rest begins within `reach`, the end of the motion, `last`.
+    """
+    p = path.positions
+    began = k
+    for t in range(k, min(last, len(p) - 1)):
+        if p[t + 1] != p[t]:
+            if t - began >= least:
+                return began, t
+            began = t + 1
+            if began > k + reach:
+                return last, last
+    to = min(last, len(p) - 1)
+    return (began, to) if to - began >= least else (last, last)
+
+
+@_compiled
+def advance(
+    positions: Vector, bends: Vector, first_ms: int, end_ms: int, aims: Vector, plan: Vector
+) -> int:
+    """Commit the next knot of a plan; returns the duration of the segment to it [ms].
+
+    0: none keeps tolerance and limits. `positions` and `bends` are those of `Path` from path time
+    `first_ms` on, at least as far as `looked_at` says; `aims` are the fields of `Terms`. Times in
+    a plan are path times. The motion ends at `end_ms`.
+    """
+    path = Path(positions, bends)
+    _shift(plan, -first_ms)
+    start, longest = int(plan[0]), int(aims[5])
+    last = end_ms - first_ms
+    end = last
+    rests_to = int(plan[_REST]) - first_ms
+    if rests_to <= start:
+        began, ended = _next_rest(path, start, DEPTH * longest, last, longest)
+        if began > start:
+            end = began
+        elif plan[2] == 0 and abs(plan[1] - path.positions[start]) <= aims[1]:
+            forget(plan)
+            plan[_REST], rests_to = ended + first_ms, ended
+    found = True
+    if rests_to > start:
+        left = rests_to - start
+        plan[0] += left if left <= longest else min(longest, (left + 1) // 2)
+    else:
+        terms = Terms(aims[0], aims[1], aims[2], aims[3], aims[4], longest)
+        for way in range(int(plan[_WAYS])):
+            if _knot(plan, way, int(plan[_KNOWN]), 1.0)[0] > end:  # of a rest that was not known
+                forget(plan)
+        found = _complete(path, plan, terms, end)
+        while not found and longest > 1:  # the way leads nowhere: go back and on in smaller steps
+            longest //= 2
+            forget(plan)
+            terms = Terms(aims[0], aims[1], aims[2], aims[3], aims[4], longest)
+            found = _complete(path, plan, terms, end)
+        if found:
+            _commit(path, plan, terms)
+    _shift(plan, first_ms)
+    return int(plan[0]) - first_ms - start if found else 0
+
+
+def plan_from_rest(position: float) -> Vector:
+    """A plan of a motion from rest at `position` [qc] at path time 0."""
+    plan = vector([0.0] * PLAN)
+    plan[1] = float(position)
+    forget(plan)
+    return plan
+
+
+def looked_at(longest: int) -> int:
+    """How far from the committed knot the commanded curve is looked at [ms]."""
+    return DEPTH * longest + _AHEAD[-1] + 2
+
+
+def prepare() -> None:
+    """Compile this module, or load what an earlier run has compiled, before time matters."""
+    still = vector([0.0] * (looked_at(1) + 1))
+    advance(still, still, 0, 2, vector((1.0, 1.0, inf, inf, 0.0, 1)), plan_from_rest(0.0))
+
+
+def compiled_before() -> bool:
+    """Whether `prepare` will find what an earlier run has compiled."""
+    cache: Any = advance
+    return not COMPILED or any(pathlib.Path(cache.stats.cache_path).glob("knots.advance-*.nbi"))
