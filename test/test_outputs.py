@@ -271,6 +271,22 @@ def test_a_reversed_joint_tells_its_own_positions() -> None:
     assert fired(drive) == [(-20_000, False), (-30_000, False), (-40_000, False)]
 
 
+@pytest.mark.parametrize(
+    ("start", "direction", "says"),
+    [
+        (0.0, "up", "0 m, on the way up"),
+        (0.01, "down", "0.01 m, on the way down"),
+        (0.01, "up", ""),
+    ],
+)
+def test_a_sequence_that_begins_behind_the_axis_is_remarked(
+    start: float, direction: str, says: str
+) -> None:
+    made, _ = bench(output("interval", start=start, interval=0.001, direction=direction))
+    said = "compare.camera: the axis stands at 0 m; nothing fires before it crosses start, "
+    assert made.notices == ([said + says] if says else [])
+
+
 def test_a_series_gets_a_new_list_while_the_axis_moves() -> None:
     series = output("series", positions=(0.01, 0.15), capacity=3)
     made, drive = bench(series)

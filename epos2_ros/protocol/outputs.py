@@ -163,7 +163,22 @@ class Outputs:
         armed.tracker = armed.output.tracker(position_qc)
         armed.answer, armed.asked = None, False
         armed.forget()
+        self._remark_on_start(armed, position_qc)
         return armed.output.arm(position_qc)
+
+    def _remark_on_start(self, armed: _Armed, position_qc: int) -> None:
+        """A sequence fires nothing before its first count is crossed in its direction."""
+        trigger, units = armed.output.trigger, self.units[armed.axis]
+        if trigger is None or not trigger.sequence or not isinstance(trigger.counts, Grid):
+            return
+        first = trigger.counts.origin
+        if (position_qc >= first) if trigger.rising else (position_qc < first):
+            way = "up" if trigger.rising == (units.qc_per_unit > 0) else "down"
+            self.notices.append(
+                f"compare.{armed.output.config.name}: the axis stands at "
+                f"{units.from_qc(float(position_qc)):.9g} {units.unit}; nothing fires before it "
+                f"crosses start, {units.from_qc(float(first)):.9g} {units.unit}, on the way {way}"
+            )
 
     def set_positions(self, name: str, positions: Sequence[float]) -> None:
         """A series gets other positions [unit], also while the axis moves."""

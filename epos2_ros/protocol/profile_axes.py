@@ -353,6 +353,9 @@ class ProfileAxes:
     def _taking_part(self) -> list[ProfileAxis]:
         return [axis for axis in self.axes if axis.move is not None]
 
+    def _moved(self) -> str:
+        return ", ".join(axis.joint for axis in self._taking_part())
+
     def _confirm(self) -> None:
         """Every drive acknowledges; then bit 4 falls, or the next set-point could not rise."""
         late = [axis for axis in self._taking_part() if not axis.acknowledged]
@@ -362,7 +365,7 @@ class ProfileAxes:
             return
         for axis in self._taking_part():
             self.outbox.append(axis.controlword(cia402.ENABLE_OPERATION))
-        self.events.append(("started", f"{len(self._taking_part())} axes started on one SYNC"))
+        self.events.append(("started", f"started on one SYNC: {self._moved()}"))
         self._enter(Phase.MOVING, self._now_us)
 
     def _finish_move(self) -> None:
@@ -376,10 +379,10 @@ class ProfileAxes:
             names = ", ".join(map(str, moving))
             self._limit(longest + ARRIVAL_MARGIN_US, f"target not reached by {names}")
             return
+        self.events.append(("done", f"arrived: {self._moved()}"))
         for axis in self.axes:
             axis.move = None
         self._enter(Phase.STANDING, self._now_us)
-        self.events.append(("done", "all axes have arrived"))
         motion, self._motion = self._motion, None
         if motion:
             motion.set_result(None)
