@@ -52,7 +52,8 @@ from epos2_ros.node.parameters import Parameters
 from epos2_ros.node.serialized import read_trajectory
 from epos2_ros.protocol.outputs import OutputEvent
 
-EXECUTOR_THREADS = 8  # lifecycle and parameters, trajectory, four services, topics; one to spare
+# Lifecycle and parameters, trajectory, moves and outputs, four services, topics; one to spare.
+EXECUTOR_THREADS = 9
 DIAGNOSTICS_PERIOD_S = 1.0
 EVENTS_KEPT = 1000  # of an output, for a subscriber that is slow: they come in bursts
 CLOCK_READINGS = 3
@@ -110,12 +111,9 @@ class DriverNode(LifecycleNode):
             callback_group=MutuallyExclusiveCallbackGroup(),
             raw=True,
         )
+        brief = MutuallyExclusiveCallbackGroup()
         self.create_subscription(
-            JointTrajectory,
-            "~/move_to",
-            self._on_move_to,
-            10,
-            callback_group=MutuallyExclusiveCallbackGroup(),
+            JointTrajectory, "~/move_to", self._on_move_to, 10, callback_group=brief
         )
         self._output_events: dict[str, Publisher] = {}
         for output in self._declared.outputs:
@@ -126,7 +124,7 @@ class DriverNode(LifecycleNode):
                 f"{at}/positions",
                 functools.partial(self._on_positions, output),
                 10,
-                callback_group=MutuallyExclusiveCallbackGroup(),
+                callback_group=brief,
             )
         self._offer(SetBool, "~/enable", self._on_enable)
         self._offer_trigger("~/halt", "halted", lambda driver: driver.halt())
