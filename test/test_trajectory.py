@@ -207,6 +207,12 @@ def test_unknown_and_missing_joints() -> None:
     assert e.value.code == TrajectoryError.INVALID_JOINTS
 
 
+def test_a_time_that_yaml_leaves_out_is_zero_as_in_a_message() -> None:
+    points = [{"positions": [0.0]}, {"positions": [1.0], "time_from_start": {"sec": 2}}]
+    trajectory = Trajectory.from_dict({"joint_names": ["a"], "points": points})
+    assert trajectory.times_s.tolist() == [0.0, 2.0]
+
+
 @pytest.mark.parametrize(
     "content",
     [
@@ -214,7 +220,6 @@ def test_unknown_and_missing_joints() -> None:
         [],
         {},
         {"joint_names": ["a"], "points": [1]},
-        {"joint_names": ["a"], "points": [{"positions": [0.0]}]},
         {"joint_names": ["a"], "points": [{"positions": ["x"], "time_from_start": {}}]},
         {"joint_names": ["a"], "points": [{"positions": 1.0, "time_from_start": {}}]},
         {"joint_names": ["a"], "points": [{"positions": [None], "time_from_start": {}}]},

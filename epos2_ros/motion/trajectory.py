@@ -47,7 +47,7 @@ class Trajectory:
             points = message["points"] or ()
             return cls._from_points(
                 tuple(message.get("joint_names") or ()),
-                [_duration(point["time_from_start"]) for point in points],
+                [_duration(point.get("time_from_start") or {}) for point in points],
                 {field: [point.get(field) or () for point in points] for field in _FIELDS},
                 _duration((message.get("header") or {}).get("stamp") or {}),
             )
