@@ -5,6 +5,8 @@ The drives are in another process; those on `virtual` can only be in the same.
 
 from __future__ import annotations
 
+import os
+import tty
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,6 +14,7 @@ import numpy as np
 import pytest
 from two_processes import TARGET_M, Drives, assert_log_ends_at, assert_moves, rig
 
+from epos2_ros.bus.slcan import SlcanBus
 from epos2_ros.config import SimulationConfig
 from epos2_ros.errors import BusError
 
@@ -61,6 +64,28 @@ def port(tmp_path: Path) -> Iterator[Port]:
     made.plug_in()
     yield made
     made.close()
+
+
+def test_slcan_frames_come_whole_however_the_port_cuts_them() -> None:
+    pytest.importorskip("serial")
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    with SlcanBus(os.ttyname(slave), sleep_after_open=0) as bus:
+        for part in (b"t181", b"2CA", b"FE\rz\rt0800\r\at7", b"01105\r"):
+            os.write(master, part)
+        got = [bus.recv(5.0) for _ in range(3)]
+        assert [(m.arbitration_id, bytes(m.data)) for m in got if m] == [
+            (0x181, b"\xca\xfe"),
+            (0x080, b""),
+            (0x701, b"\x05"),
+        ]
+        os.write(master, b"t7011")
+        assert bus.recv(0.05) is None
+        os.write(master, b"7F\r")
+        late = bus.recv(5.0)
+        assert late is not None and bytes(late.data) == b"\x7f"
+    os.close(master)
+    os.close(slave)
 
 
 def test_slcan_pulled_out_and_plugged_in_again(port: Port) -> None:

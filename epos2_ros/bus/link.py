@@ -19,6 +19,7 @@ import can
 import canopen
 
 from epos2_ros.bus.health import BusState, Health
+from epos2_ros.bus.slcan import SlcanBus
 from epos2_ros.bus.timestamps import ReceiveClock, now_us
 from epos2_ros.bus.transmitter import Transmitter, worst_case_bits
 from epos2_ros.errors import BusError
@@ -228,6 +229,8 @@ def open_bus(interface: str, channel: str, bitrate: int, echoes: bool = True) ->
         logging.getLogger(library).setLevel(logging.CRITICAL)
     arguments: dict[str, Any] = {"interface": interface, "channel": channel, "bitrate": bitrate}
     try:
+        if interface == "slcan":
+            return SlcanBus(channel, bitrate=bitrate)
         if not echoes:
             return can.Bus(**arguments)
         try:
