@@ -39,12 +39,11 @@ setup(
     extras_require={
         # ROS 2 Jazzy from PyPI, for a machine without a ROS installation
         "ros": ["ros-jazzy-common-interfaces", "ros-jazzy-rclpy", "ros-jazzy-rmw-fastrtps-cpp"],
-        "bench": ["numba", *PLANNERS],
+        "bench": PLANNERS,
         "test": [
             "colcon-common-extensions",
             "hypothesis",
             "mypy",
-            "numba",
             "pytest",
             "pytest-timeout",
             *PLANNERS,

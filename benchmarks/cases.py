@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from planners import from_ruckig, from_toppra
 
 from epos2_ros.bus.settings import axis_setup
-from epos2_ros.config import AxisConfig
+from epos2_ros.config import AxisConfig, DriverConfig
 from epos2_ros.files import read_parameters, read_trajectory, share, shipped_parameters
 from epos2_ros.motion.fit import Fitter
 from epos2_ros.motion.join import join
@@ -26,6 +26,7 @@ from epos2_ros.parameters import DriverParameters
 Array = NDArray[np.float64]
 
 EXAMPLES = ("pick_place", "jerk_limited", "positions_only", "raster_scan")
+SMOOTHNESS = DriverConfig(()).smoothness
 GEAR_RATIO = 100.0  # of planned trajectories' axes, as in config/arm.yaml
 
 
@@ -67,11 +68,11 @@ class Case:
         units = [units.velocity_unit_qc_s for units in self.units]
         return list(zip(positions, velocities, units, strict=True))
 
-    def records(self, tolerance_qc: float, smoothness: float = 0.0) -> list[list[Record]]:
+    def records(self, tolerance_qc: float, smoothness: float = SMOOTHNESS) -> list[list[Record]]:
         """What the driver sends to each axis, the record that ends the motion included."""
         return fit(self.fitter(tolerance_qc, smoothness), self.reference, self.start_qc)
 
-    def fitter(self, tolerance_qc: float, smoothness: float = 0.0) -> Fitter:
+    def fitter(self, tolerance_qc: float, smoothness: float = SMOOTHNESS) -> Fitter:
         fits = [axis_setup(axis).fit for axis in self.configs]
         return Fitter(fits, tolerance_qc, MAX_SEGMENT_MS, smoothness=smoothness)
 

@@ -11,13 +11,13 @@ from epos2_ros.motion.pvt import executed
 from epos2_ros.motion.record import Record
 
 from .baselines import pvt_records
-from .cases import Case
+from .cases import SMOOTHNESS, Case
 from .frames import PvtGrid, common_spacing
 from .table import Table
 
 TOLERANCE_QC = 1.0
 GRIDS_MS = (10, 20, 50)
-WEIGHTS = (0.0, 0.25, 0.5, 1.0)
+WEIGHTS = (0.0, SMOOTHNESS, 0.3, 1.0, 10.0)
 NOTES = (
     "executed less commanded acceleration at every millisecond, over all axes, as a share of the "
     "largest commanded one of the axis; smoothness is ipm.smoothness"
