@@ -55,6 +55,16 @@ class SimulationConfig:
 
 
 @dataclass(frozen=True)
+class ClockLimits:
+    """From where on a drive's clock is reported as a warning or an error in /diagnostics."""
+
+    offset_warning_us: float = 100.0  # from the master's time
+    offset_error_us: float = 1000.0
+    drift_warning_ppm: float = 200.0  # of its quartz against the host's clock
+    drift_error_ppm: float = 450.0
+
+
+@dataclass(frozen=True)
 class DriverConfig:
     """The whole group on one bus."""
 
@@ -65,6 +75,7 @@ class DriverConfig:
     simulate: bool = True
     sync_period: float = 0.1  # [s]
     sync_source: str = "host"
+    clock_limits: ClockLimits = field(default_factory=ClockLimits)
     buffer_time: float = 0.5  # [s]
     tolerance: float = 1.0  # [qc]
     smoothness: float = 0.03  # as of motion.fit.Fitter

@@ -19,7 +19,13 @@ from math import inf, isfinite
 from typing import Any
 
 from epos2_ros.compare_config import DIRECTIONS, KINDS, METHODS, REFERENCES, CompareConfig
-from epos2_ros.config import AxisConfig, DriverConfig, HomingConfig, SimulationConfig
+from epos2_ros.config import (
+    AxisConfig,
+    ClockLimits,
+    DriverConfig,
+    HomingConfig,
+    SimulationConfig,
+)
 from epos2_ros.errors import ConfigurationError
 
 MAX_AXES = 127  # CANopen node ids are 1 … 127
@@ -118,6 +124,10 @@ GROUP: dict[str, Spec] = {
     "can.bitrate": Spec(1_000_000, "bit rate of the bus [bit/s]", choices=BIT_RATES),
     "sync.period": Spec(0.1, "period of the SYNC [s]", 0.005, 1.0),
     "sync.source": Spec("host", "who is the clock: host, or the joint whose drive is"),
+    "sync.offset_warning": Spec(100.0, "clock offset of a drive that is a warning [us]", 1.0, 1e6),
+    "sync.offset_error": Spec(1000.0, "clock offset of a drive that is an error [us]", 1.0, 1e6),
+    "sync.drift_warning": Spec(200.0, "clock drift of a drive that is a warning [ppm]", 1.0, 500.0),
+    "sync.drift_error": Spec(450.0, "clock drift of a drive that is an error [ppm]", 1.0, 500.0),
     "ipm.buffer_time": Spec(
         0.5,
         "motion kept ahead in each drive's buffer, and how long a committed motion is before "
@@ -250,6 +260,12 @@ class DriverParameters:
             simulate=values["simulate"],
             sync_period=values["sync.period"],
             sync_source=values["sync.source"],
+            clock_limits=ClockLimits(
+                offset_warning_us=values["sync.offset_warning"],
+                offset_error_us=values["sync.offset_error"],
+                drift_warning_ppm=values["sync.drift_warning"],
+                drift_error_ppm=values["sync.drift_error"],
+            ),
             buffer_time=values["ipm.buffer_time"],
             tolerance=values["ipm.tolerance"],
             smoothness=values["ipm.smoothness"],

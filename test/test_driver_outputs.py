@@ -14,7 +14,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from epos2_ros.bus.driver import Driver, OutputSnapshot, Snapshot
 from epos2_ros.compare_config import CompareConfig
-from epos2_ros.config import AxisConfig, DriverConfig
+from epos2_ros.config import AxisConfig, ClockLimits, DriverConfig
 from epos2_ros.errors import ConfigurationError, TrajectoryError
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.node import messages
@@ -250,7 +250,7 @@ def test_an_axis_in_trouble_stops_those_of_the_other_family() -> None:
 
 
 def diagnosed(snapshot: Snapshot) -> dict[str, DiagnosticStatus]:
-    array = messages.diagnostics(snapshot, "epos2_driver", "can0", Time())
+    array = messages.diagnostics(snapshot, "epos2_driver", "can0", Time(), ClockLimits())
     return {status.name.partition(": ")[2]: status for status in array.status}
 
 

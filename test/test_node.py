@@ -32,7 +32,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from epos2_ros.bus.driver import AxisSnapshot, Event, Snapshot
 from epos2_ros.compare_config import CompareConfig
-from epos2_ros.config import DriverConfig
+from epos2_ros.config import ClockLimits, DriverConfig
 from epos2_ros.demo.report import Executed
 from epos2_ros.demo.witness import Witness
 from epos2_ros.errors import BusError, DriveError, TrajectoryError
@@ -606,13 +606,31 @@ def test_diagnostics_of_a_drive(state, fault, level, message):
     axis = axis_snapshot(
         "a", 3, state=state, fault=fault, following_error_qc=-4, clock_drift_ppm=12.5
     )
-    array = messages.diagnostics(snapshot_of(axis), "epos2_driver", "can0", Time())
+    array = messages.diagnostics(snapshot_of(axis), "epos2_driver", "can0", Time(), ClockLimits())
     drive = array.status[0]
     assert (drive.level, drive.message) == (level, message)
     values = {value.key: value.value for value in drive.values}
     assert values["state"] == state
     assert values["following error [qc]"] == "-4"
     assert float(values["clock drift [ppm]"]) == 12.5
+
+
+@pytest.mark.parametrize(
+    ("offset_us", "drift_ppm", "level", "message"),
+    [
+        (-99.0, 199.0, DiagnosticStatus.OK, "operation enabled"),
+        (math.nan, 0.0, DiagnosticStatus.OK, "operation enabled"),  # not known yet
+        (-101.0, 0.0, DiagnosticStatus.WARN, "clock 101 us off, drifts 0 ppm"),
+        (0.0, -201.0, DiagnosticStatus.WARN, "clock 0 us off, drifts 201 ppm"),
+        (1001.0, 0.0, DiagnosticStatus.ERROR, "clock 1001 us off, drifts 0 ppm"),
+        (0.0, 451.0, DiagnosticStatus.ERROR, "clock 0 us off, drifts 451 ppm"),
+    ],
+)
+def test_a_clock_beyond_its_limits_is_told(offset_us, drift_ppm, level, message):
+    axis = axis_snapshot("a", 3, clock_offset_us=offset_us, clock_drift_ppm=drift_ppm)
+    limits = ClockLimits(100.0, 1000.0, 200.0, 450.0)
+    drive = messages.diagnostics(snapshot_of(axis), "node", "can0", Time(), limits).status[0]
+    assert (drive.level, drive.message) == (level, message)
 
 
 @pytest.mark.parametrize(
@@ -627,7 +645,7 @@ def test_diagnostics_of_a_drive(state, fault, level, message):
 )
 def test_diagnostics_of_the_bus(values, level):
     snapshot = snapshot_of(axis_snapshot("a", 1), **values)
-    bus = messages.diagnostics(snapshot, "epos2_driver", "can0", Time()).status[-1]
+    bus = messages.diagnostics(snapshot, "epos2_driver", "can0", Time(), ClockLimits()).status[-1]
     assert (bus.level, bus.name) == (level, "epos2_driver: bus")
     assert {v.key: v.value for v in bus.values}["load [%]"] == "12.5"
 

@@ -14,7 +14,7 @@ from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from epos2_ros.config import AxisConfig, DriverConfig, HomingConfig
+from epos2_ros.config import AxisConfig, ClockLimits, DriverConfig, HomingConfig
 from epos2_ros.errors import ConfigurationError
 from epos2_ros.node.parameters import Parameters
 
@@ -77,6 +77,10 @@ def test_every_value_arrives(make):
             "joints": ["x", "arm"],
             "sync.period": 0.05,
             "sync.source": "arm",
+            "sync.offset_warning": 50.0,
+            "sync.offset_error": 500.0,
+            "sync.drift_warning": 150.0,
+            "sync.drift_error": 300.0,
             "ipm.buffer_time": 0.25,
             "ipm.tolerance": 2.0,
             "constraints.start_tolerance": 0.002,
@@ -129,6 +133,7 @@ def test_every_value_arrives(make):
         simulate=False,  # a real interface: nothing is simulated unless asked for
         sync_period=0.05,
         sync_source="arm",
+        clock_limits=ClockLimits(50.0, 500.0, 150.0, 300.0),
         buffer_time=0.25,
         tolerance=2.0,
         start_tolerance=0.002,

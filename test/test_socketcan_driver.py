@@ -20,6 +20,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from two_processes import QC_PER_M, SCAN, Drives, Rig, assert_executed, rig
 
 from epos2_ros.bus.link import Link
+from epos2_ros.config import ClockLimits
 from epos2_ros.errors import BusError, DriveError
 from epos2_ros.node.messages import diagnostics
 from epos2_ros.protocol.frame import Frame
@@ -226,7 +227,7 @@ def test_a_bad_bus_stops_the_motion(
         assert f"is {state}" in snapshot.reason
         assert (snapshot.bus_state, snapshot.error_frames) == (state, 1)
         assert (snapshot.transmit_errors, snapshot.receive_errors) == counters
-        *_, bus = diagnostics(snapshot, "driver", vcan, Time()).status
+        *_, bus = diagnostics(snapshot, "driver", vcan, Time(), ClockLimits()).status
         assert (bus.level, bus.message) == (DiagnosticStatus.ERROR, snapshot.reason)
         assert {"controller": state, "error frames": "1"}.items() <= {
             value.key: value.value for value in bus.values

@@ -42,7 +42,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from epos2_ros.bus.driver import Driver, Event
 from epos2_ros.compare_config import CompareConfig
-from epos2_ros.config import DriverConfig
+from epos2_ros.config import ClockLimits, DriverConfig
 from epos2_ros.errors import Epos2RosError
 from epos2_ros.motion import knots
 from epos2_ros.motion.move import target_of
@@ -96,6 +96,7 @@ class DriverNode(LifecycleNode):
             self, changeable=lambda: self._driver is None, set_output=self._set_output
         )
         self._channel = ""
+        self._clock_limits = ClockLimits()
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._topics_group = MutuallyExclusiveCallbackGroup()
         self._topic_timers: list[rclpy.timer.Timer] = []
@@ -144,6 +145,7 @@ class DriverNode(LifecycleNode):
         driver = self._make_driver(config, self._on_event, self._on_output)
         driver.configure()
         self._driver, self._channel = driver, config.channel
+        self._clock_limits = config.clock_limits
         self._topic_timers = [
             self.create_timer(period, publish, self._topics_group, clock=self._steady)
             for period, publish in (
@@ -277,7 +279,9 @@ class DriverNode(LifecycleNode):
             snapshot = driver.snapshot()
             stamp = self.get_clock().now().to_msg()
             name = self.get_name()
-            self._diagnostics.publish(messages.diagnostics(snapshot, name, self._channel, stamp))
+            self._diagnostics.publish(
+                messages.diagnostics(snapshot, name, self._channel, stamp, self._clock_limits)
+            )
 
     def _ros_time(self, host_us: float) -> Time:
         """Host time (monotonic [µs]) as ROS time."""

@@ -13,6 +13,7 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from sensor_msgs.msg import JointState
 
+from epos2_ros.config import ClockLimits
 from epos2_ros.protocol.epos2 import BufferStatus
 
 if TYPE_CHECKING:
@@ -45,9 +46,11 @@ def output_event(event: OutputEvent, stamp: Time) -> JointState:
     return message
 
 
-def diagnostics(snapshot: Snapshot, node: str, channel: str, stamp: Time) -> DiagnosticArray:
+def diagnostics(
+    snapshot: Snapshot, node: str, channel: str, stamp: Time, limits: ClockLimits
+) -> DiagnosticArray:
     """The state of each drive, of each position-triggered output and of the bus."""
-    axes = [_drive_of(axis, node, channel) for axis in snapshot.axes]
+    axes = [_drive_of(axis, node, channel, limits) for axis in snapshot.axes]
     outputs = [_output_of(output, node, channel) for output in snapshot.outputs]
     return _array(stamp, [*axes, *outputs, _bus_of(snapshot, node, channel)])
 
@@ -76,11 +79,14 @@ def _buffer_of(axis: AxisSnapshot, channel: str) -> DiagnosticStatus:
     )
 
 
-def _drive_of(axis: AxisSnapshot, node: str, channel: str) -> DiagnosticStatus:
+def _drive_of(axis: AxisSnapshot, node: str, channel: str, limits: ClockLimits) -> DiagnosticStatus:
     if axis.state in ("fault", "fault reaction active"):
         level, message = ERROR, axis.fault or axis.state
     else:
         level, message = OK if axis.state == "operation enabled" else WARN, axis.state
+        clock_level, clock_message = _clock_of(axis, limits)
+        if clock_level > level:
+            level, message = clock_level, clock_message
     clock_and_error = {
         "following error [qc]": _given(axis.following_error_qc, "d"),
         "clock offset [us]": _given(axis.clock_offset_us, ".1f"),
@@ -99,6 +105,16 @@ def _drive_of(axis: AxisSnapshot, node: str, channel: str) -> DiagnosticStatus:
             }
         ),
     )
+
+
+def _clock_of(axis: AxisSnapshot, limits: ClockLimits) -> tuple[bytes, str]:
+    offset_us, drift_ppm = abs(axis.clock_offset_us or 0.0), abs(axis.clock_drift_ppm or 0.0)
+    text = f"clock {offset_us:.0f} us off, drifts {drift_ppm:.0f} ppm"
+    if offset_us > limits.offset_error_us or drift_ppm > limits.drift_error_ppm:
+        return ERROR, text
+    if offset_us > limits.offset_warning_us or drift_ppm > limits.drift_warning_ppm:
+        return WARN, text
+    return OK, ""
 
 
 def _output_of(output: OutputSnapshot, node: str, channel: str) -> DiagnosticStatus:
