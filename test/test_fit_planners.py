@@ -23,9 +23,8 @@ from epos2_ros.motion.units import AxisUnits
 
 PLANNERS = [from_ruckig, from_toppra]
 BUDGET = settings(
-    max_examples=6,
+    max_examples=20,
     deadline=None,
-    derandomize=True,
     suppress_health_check=[HealthCheck.too_slow],
     print_blob=True,
 )
