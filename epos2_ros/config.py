@@ -78,7 +78,7 @@ class DriverConfig:
     clock_limits: ClockLimits = field(default_factory=ClockLimits)
     buffer_time: float = 0.5  # [s]
     tolerance: float = 1.0  # [qc]
-    smoothness: float = 0.03  # as of motion.fit.Fitter
+    smoothness: float = 0.0  # as of motion.fit.Fitter
     start_tolerance: float = 0.01  # [rad or m]
     allow_partial_joints_goal: bool = False
     state_rate: float = 50.0  # [Hz]

@@ -23,6 +23,8 @@ from epos2_ros.errors import ConfigurationError, TrajectoryError
 from epos2_ros.motion import knots
 from epos2_ros.motion.record import MAX_SEGMENT_MS, Record
 
+_BLOCK = 512  # times sampled at once: what they take stays in the cache
+
 
 class Reference(Protocol):
     """A commanded curve on the path-time grid; it rests from `end_ms` on."""
@@ -56,7 +58,7 @@ class Fitter:
         axes: Sequence[FitAxis],
         tolerance_qc: float = 1.0,
         max_segment_ms: int = MAX_SEGMENT_MS,
-        smoothness: float = 0.03,
+        smoothness: float = 0.0,
     ) -> None:
         if not 0.5 <= tolerance_qc < inf:
             raise ConfigurationError(
@@ -112,7 +114,7 @@ class Fitter:
             raise ValueError("an axis' end record is committed; begin a new motion")
         for plan in self._plans:
             knots.forget(plan)
-        self._samples = _Samples(reference)
+        self._samples = _Samples(reference, len(self._plans))
 
     def committed_ms(self, axis: int) -> int:
         """Path time of the axis' last committed knot."""
@@ -133,7 +135,8 @@ class Fitter:
         looked_at = k + knots.looked_at(self.max_segment_ms)
         if looked_at > samples.last_ms:
             earliest = min(int(plan[0]) for plan in self._plans)
-            samples.extend(earliest, looked_at + 4 * self.max_segment_ms)
+            further = 4 if samples.last_ms < 0 else 12  # longest segments; the first are urgent
+            samples.extend(earliest, looked_at + further * self.max_segment_ms)
         positions, bends = samples.paths[axis]
         time = knots.advance(
             positions, bends, samples.first_ms, samples.end_ms, self._aims[axis], plan
@@ -149,27 +152,25 @@ class Fitter:
 class _Samples:
     """A reference on the path-time grid, from the earliest committed knot to what is looked at."""
 
-    def __init__(self, reference: Reference) -> None:
+    def __init__(self, reference: Reference, axes: int) -> None:
         self.end_ms = reference.end_ms
         self.first_ms = 0
         self.last_ms = -1
         self.paths: list[tuple[knots.Vector, knots.Vector]] = []
         self._reference = reference
-        self._positions: NDArray[np.float64] | None = None  # [axes, times] [qc]
+        self._positions = np.empty((axes, 0))  # [axes, times] [qc]
 
     def extend(self, earliest_ms: int, last_ms: int) -> None:
         """Sample up to `last_ms` and forget what is before `earliest_ms`."""
-        known, next_ms = self._positions, earliest_ms
-        if known is not None:
-            next_ms = self.last_ms + 1
-            known = known[:, earliest_ms - self.first_ms :]
-        k = np.minimum(np.arange(next_ms, last_ms + 1), self.end_ms)
-        new = self._reference.positions(k).T
-        positions = np.concatenate((known, new), axis=1) if known is not None else new
-        bends = np.zeros_like(positions)
-        np.cumsum(np.diff(positions, 2, axis=1) ** 2, axis=1, out=bends[:, 1:-1])
-        self._positions = positions = np.ascontiguousarray(positions)
+        known = self._positions[:, earliest_ms - self.first_ms :]
+        positions = np.empty((known.shape[0], last_ms + 1 - earliest_ms))
+        have = known.shape[1]
+        positions[:, :have] = known
+        for at in range(have, positions.shape[1], _BLOCK):
+            k = np.arange(at, min(at + _BLOCK, positions.shape[1])) + earliest_ms
+            own = self._reference.positions(np.minimum(k, self.end_ms))
+            positions[:, at : at + _BLOCK] = own.T
+        self._positions = positions
         self.first_ms, self.last_ms = earliest_ms, last_ms
-        self.paths = [
-            (knots.vector(p), knots.vector(b)) for p, b in zip(positions, bends, strict=True)
-        ]
+        vectors = [knots.vector(own) for own in positions]
+        self.paths = [(vector, knots.bends_of(vector)) for vector in vectors]

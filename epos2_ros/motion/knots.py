@@ -93,17 +93,18 @@ _REST = _WAYS + 3
 
 _LEVELS = 5  # classes of velocities on either side of the commanded one, at least a unit apart,
 _LEVEL = 4.0  # this many tolerances per length of the segment otherwise
+_SMOOTHER = 4  # ms between ends of a class that are looked at for being smoother
 _SIDES = 4  # below and above the commanded position, far and near
 _CLASSES = _SIDES * (2 * _LEVELS + 1)
 _BETWEEN_CUTS = 0.98  # share of the tolerance used where only some milliseconds are looked at
 _ROUNDED_END = 0.95  # share used for how far the next segment gets: its end is rounded, too
 _AHEAD = (4, 10, 18, 28, 40, 54, 70, 88, 108, 130, 154, 180, 208, 238, 255)  # looked at for it
 _CUTS = 64
-_STRIDE = 4  # ms
+_STRIDE = 8  # ms between shorter ends; where a class begins, all in between are tried, too
 _VERTICES = _CUTS * 24  # of the polygons after all cuts
 _HALF = 160  # polygons are in the lower half of their vectors; the upper is for cutting
-_MOVES = 10  # milliseconds a knot may be moved to make its segments smoother,
-_TILTS = 3  # and units its velocity may be changed
+_MOVES = 10  # milliseconds a knot may be moved to make its segments smoother, by even ones,
+_TILTS = 2  # and units its velocity may be changed
 _ROUGHNESS_UNIT = 1e3  # (1/ms)³ per qc²: 1 record for (1000 qc/s²)²·s at a tolerance of 1 qc
 
 
@@ -329,9 +330,11 @@ def _enter(
 
     Returns whether any is the first of its class.
     """
-    unit, steepest, k1 = terms.unit, terms.steepest, k0 + t
+    steepest, k1 = terms.steepest, k0 + t
+    per_t, per_unit, per_level = 1.0 / t, 1.0 / terms.unit, 1.0 / level
     position = path.positions[k1]
-    speed = _speed(path.positions, k1, t) / unit
+    speed = _speed(path.positions, k1, t) * per_unit
+    top = terms.fastest * per_unit
     first_of_class = False
     for side in range(_SIDES if aside > 0 else 2):
         p1 = floor(position - aside) if side == 0 else ceil(position + aside)
@@ -339,7 +342,7 @@ def _enter(
             p1 = floor(position) if side == 2 else ceil(position)
         if abs(p1 - position) > terms.tolerance:
             continue
-        c = ((p1 - p0) / t - v0) / t  # b + a·t of the cubics that end there
+        c = ((p1 - p0) * per_t - v0) * per_t  # b + a·t of the cubics that end there
         if t == 1:
             low, high = -inf, inf
         elif n > 0:
@@ -348,22 +351,24 @@ def _enter(
             y = path.positions[k0 + 1] - p0 - v0
             low, high = c - y - terms.tolerance, c - y + terms.tolerance
         if steepest < inf:  # accelerations are 2·(c − a·t) and 2·(c + 2·a·t)
-            low = max(low, (c - steepest / 2) / t, (-steepest / 2 - c) / (2 * t))
-            high = min(high, (c + steepest / 2) / t, (steepest / 2 - c) / (2 * t))
+            low = max(low, (c - steepest / 2) * per_t, (-steepest / 2 - c) * per_t / 2)
+            high = min(high, (c + steepest / 2) * per_t, (steepest / 2 - c) * per_t / 2)
         if low > high:
             continue
-        slowest = max((v0 + (2 * c + low * t) * t) / unit, -terms.fastest / unit, speed - 1e6)
-        fastest = min((v0 + (2 * c + high * t) * t) / unit, terms.fastest / unit, speed + 1e6)
-        first = max(-_LEVELS, ceil((slowest - speed) / level - 0.5))
-        for j in range(first, min(_LEVELS, floor((fastest - speed) / level + 0.5)) + 1):
+        slowest = max((v0 + (2 * c + low * t) * t) * per_unit, -top, speed - 1e6)
+        fastest = min((v0 + (2 * c + high * t) * t) * per_unit, top, speed + 1e6)
+        first = max(-_LEVELS, ceil((slowest - speed) * per_level - 0.5))
+        for j in range(first, min(_LEVELS, floor((fastest - speed) * per_level + 0.5)) + 1):
             one = _LEVELS + j + side * (2 * _LEVELS + 1)
             gain = k1 - debt
             if gain <= ends.gain[one]:
                 continue
+            if k1 < ends.k[one] and t % _SMOOTHER != 0:
+                continue  # only a smoother one can be better; some of them will do
             v1 = floor(speed + j * level + 0.5)
             if not slowest <= v1 <= fastest:
                 continue
-            gain -= expected * _roughness(path, k0, p0, v0, t, p1, v1 * unit, terms)
+            gain -= expected * _roughness(path, k0, p0, v0, t, p1, v1 * terms.unit, terms)
             if gain > ends.gain[one]:
                 first_of_class = first_of_class or ends.gain[one] == -inf
                 ends.gain[one], ends.k[one], ends.way[one] = gain, k1, way
@@ -488,7 +493,7 @@ def _grow(path: Path, plan: Vector, terms: Terms, end: int) -> bool:
     level = 1.0
     for search in range(3):  # the second and third are for the rare case that nothing was found
         for c in range(_CLASSES):
-            ends.gain[c] = -inf
+            ends.gain[c], ends.k[c] = -inf, 0
         for way in range(int(plan[_WAYS])):
             k0, p0, v0 = _knot(before, way, known, unit)
             expected = _reach(path, k0, p0, v0, terms, terms.tolerance, polygon)
@@ -554,7 +559,7 @@ def _settle(path: Path, plan: Vector, terms: Terms) -> None:
     least = _roughness(path, k0, p0, v0, k1 - k0, p1, v1, terms)
     least += _roughness(path, k1, p1, v1, k2 - k1, p2, v2, terms)
     first = max(k0 + 2, k1 - _MOVES, k2 - longest)
-    for k in range(first, min(k2 - 1, k1 + _MOVES + 1, k0 + longest + 1)):
+    for k in range(first, min(k2 - 1, k1 + _MOVES + 1, k0 + longest + 1), 2):
         position = path.positions[k]
         speed = floor(_speed(path.positions, k, 2) / unit + 0.5)
         for side in range(2):
@@ -691,6 +696,19 @@ def advance(
     return int(plan[0]) - first_ms - start if found else 0
 
 
+@_compiled
+def bends_of(positions: Vector) -> Vector:
+    """As of `Path`."""
+    bends = _room(len(positions))
+    bends[0] = total = 0.0
+    for k in range(1, len(positions) - 1):
+        bend = positions[k + 1] - 2 * positions[k] + positions[k - 1]
+        total += bend * bend
+        bends[k] = total
+    bends[-1] = total
+    return bends
+
+
 def plan_from_rest(position: float) -> Vector:
     """A plan of a motion from rest at `position` [qc] at path time 0."""
     plan = vector([0.0] * PLAN)
@@ -707,7 +725,7 @@ def looked_at(longest: int) -> int:
 def prepare() -> None:
     """Compile this module, or load what an earlier run has compiled, before time matters."""
     still = vector([0.0] * (looked_at(1) + 1))
-    advance(still, still, 0, 2, vector((1.0, 1.0, inf, inf, 0.0, 1)), plan_from_rest(0.0))
+    advance(still, bends_of(still), 0, 2, vector((1.0, 1.0, inf, inf, 0.0, 1)), plan_from_rest(0.0))
 
 
 def compiled_before() -> bool:

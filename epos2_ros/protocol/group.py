@@ -82,7 +82,7 @@ class GroupSettings:
     sync_period_us: float = 100_000.0
     buffer_time_ms: float = 500.0
     tolerance_qc: float = 1.0
-    smoothness: float = 0.03
+    smoothness: float = 0.0
 
 
 class _Step(NamedTuple):
