@@ -23,18 +23,13 @@ def tables(cases: Sequence[Case]) -> Iterator[Table]:
                 fewest, *zip(*case.curves, strict=True), [TOLERANCE_QC] * len(case.curves)
             )
             optimum = list(best)
-            fewest_ours, usual = (
-                [len(records) for records in case.records(TOLERANCE_QC, smoothness)]
-                for smoothness in (0.0, SMOOTHNESS)
-            )
+            ours = [len(records) for records in case.records(TOLERANCE_QC, SMOOTHNESS)]
             rows.append(
                 {
                     "trajectory": case.name,
                     "optimum": sum(optimum),
-                    "ours, smoothness 0": sum(fewest_ours),
-                    "more [%]": more(fewest_ours, optimum),
-                    f"ours, smoothness {SMOOTHNESS:g}": sum(usual),
-                    "more [%] ": more(usual, optimum),
+                    "ours": sum(ours),
+                    "more [%]": more(ours, optimum),
                 }
             )
     yield Table(f"Records at {TOLERANCE_QC:g} qc against the true optimum", rows, NOTES)
