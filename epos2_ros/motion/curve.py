@@ -109,7 +109,7 @@ class Curve:
         u = (t_s - start) / h
         # Of the times, not of u, which is rounded: 1 may stand for a moment before a point.
         outside = (t_s < self.times_s[0]) | (t_s >= self.times_s[-1])
-        value = hermite(np.clip(u, 0, 1), h, self._ends(i), derivative).T
+        value = hermite(np.clip(u, 0, 1)[:, None], h[:, None], self._ends(i), derivative)
         if derivative and outside.any():
             value[outside] = 0.0
         return value
@@ -140,10 +140,10 @@ class Curve:
         return h, points
 
     def _ends(self, i: NDArray[np.intp]) -> tuple[tuple[Array, Array], ...]:
-        """(p0, p1), (v0, v1) and (a0, a1) of the pieces i [m], each [axes, m]."""
+        """(p0, p1), (v0, v1) and (a0, a1) of the pieces i [m], each [m, axes]."""
         if self.velocities is None:
             pieces, of = np.unique(i, return_inverse=True)
-            slopes = self._slopes(pieces).T.take(of, 1), self._slopes(pieces + 1).T.take(of, 1)
+            slopes = self._slopes(pieces).take(of, 0), self._slopes(pieces + 1).take(of, 0)
             return _both(self.positions, i), slopes
         given = (self.positions, self.velocities, self.accelerations)
         return tuple(_both(values, i) for values in given if values is not None)
@@ -171,5 +171,5 @@ class Curve:
 
 
 def _both(values: Array, i: NDArray[np.intp]) -> tuple[Array, Array]:
-    """Values at both ends of the pieces i [axes, m]; `take` is much faster than indexing."""
-    return values.T.take(i, axis=1), values.T.take(i + 1, axis=1)
+    """Values at both ends of the pieces i; `take` is much faster than indexing."""
+    return values.take(i, axis=0), values.take(i + 1, axis=0)
