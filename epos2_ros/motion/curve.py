@@ -11,6 +11,7 @@ a window of a curve of a million points costs what the window costs.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,15 +19,16 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# Hermite bases over u = 0 … 1, ascending powers; rows weigh p1 − p0, h·v0, h·v1, h²·a0, h²·a1.
-_CUBIC = np.array([[0, 0, 3, -2], [0, 1, -2, 1], [0, 0, -1, 1]], dtype=np.float64)
+# Hermite bases: powers of u = 0 … 1, of p1 − p0, h·v0, h·v1, h²·a0, h²·a1.
+_CUBIC = np.array([[0, 0, 0], [0, 1, 0], [3, -2, -1], [-2, 1, 1]], dtype=np.float64)
 _QUINTIC = np.array(
     [
-        [0, 0, 0, 10, -15, 6],
-        [0, 1, 0, -6, 8, -3],
-        [0, 0, 0, -4, 7, -3],
-        [0, 0, 0.5, -1.5, 1.5, -0.5],
-        [0, 0, 0, 0.5, -1, 0.5],
+        [0, 0, 0, 0, 0],
+        [0, 1, 0, 0, 0],
+        [0, 0, 0, 0.5, 0],
+        [10, -6, -4, -1.5, 0.5],
+        [-15, 8, 7, 1.5, -1],
+        [6, -3, -3, -0.5, 0.5],
     ]
 )
 
@@ -35,36 +37,45 @@ def _derivatives(basis: Array) -> tuple[Array, ...]:
     """The basis and its first three derivatives over u."""
     result = [basis]
     for _ in range(3):
-        result.append(result[-1][:, 1:] * np.arange(1, result[-1].shape[1]))
+        result.append(result[-1][1:] * np.arange(1, len(result[-1]))[:, None])
     return tuple(result)
 
 
 _CUBIC_BASES, _QUINTIC_BASES = _derivatives(_CUBIC), _derivatives(_QUINTIC)
+Ends = tuple[tuple[Array, Array], ...]  # (p0, p1), (v0, v1) of cubics, with (a0, a1) of quintics
 
 
-def hermite(
-    u: Array,
-    h: Array,
-    ends: tuple[tuple[Array, Array], ...],
-    derivative: int = 0,
-) -> Array:
+def hermite(u: Array, h: Array, ends: Ends, derivative: int = 0) -> Array:
     """A Hermite piece, or a derivative of it, at u = 0 … 1 of its duration h [s].
 
-    `ends` is ((p0, p1), (v0, v1)) for a cubic, with (a0, a1) for a quintic; all arguments
-    broadcast against each other.
+    All arguments broadcast against each other.
     """
-    basis = (_QUINTIC_BASES if len(ends) == 3 else _CUBIC_BASES)[derivative]
-    weights = np.zeros((len(basis), *u.shape))
-    for coefficients in basis.T[::-1]:  # Horner, all rows at once
-        weights *= u
-        weights += coefficients.reshape(-1, *(1,) * u.ndim)
+    return _at(u, reversed(_powers(h, ends, derivative))) / h**derivative
+
+
+def _powers(h: Array, ends: Ends, derivative: int) -> Array:
+    """Coefficients of the powers of u of a piece, or of its derivative by u [powers, …]."""
     (p0, p1), *slopes = ends
-    value = weights[0] * (p1 - p0)
-    for order, pair in enumerate(slopes, start=1):
-        weights *= h
-        value += weights[2 * order - 1] * pair[0]
-        value += weights[2 * order] * pair[1]
-    return p0 + value if derivative == 0 else value / h**derivative
+    basis = (_QUINTIC_BASES if len(ends) == 3 else _CUBIC_BASES)[derivative]
+    rows = np.empty((basis.shape[1], *np.broadcast_shapes(np.shape(h), np.shape(p0))))
+    rows[0] = p1 - p0
+    scale = h
+    for at, (start, end) in enumerate(slopes):
+        rows[2 * at + 1], rows[2 * at + 2] = scale * start, scale * end
+        scale = scale * h
+    powers: Array = np.tensordot(basis, rows, 1)
+    if derivative == 0:
+        powers[0] += p0
+    return powers
+
+
+def _at(u: Array, falling: Iterator[Array]) -> Array:
+    """A polynomial of u by Horner's scheme; the coefficient of the highest power comes first."""
+    value = next(falling)
+    for coefficient in falling:
+        value = value * u
+        value += coefficient
+    return value
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,22 +108,26 @@ class Curve:
     def evaluate(self, t_s: Array, derivative: int = 0) -> Array:
         """Position or its 1st … 3rd derivative at times t_s [m] → [m, axes].
 
-        At a point where pieces of different curvature meet, that of the later one.
+        At a point where pieces of different curvature meet, that of the later one. All pieces
+        between the first and the last of the times are worked out.
         """
         if len(self.times_s) == 1:
             value = np.repeat(self.positions, len(t_s), axis=0)
             return value if derivative == 0 else np.zeros_like(value)
-        i = np.searchsorted(self.times_s, t_s, side="right") - 1
+        i: NDArray[np.intp] = np.searchsorted(self.times_s, t_s, side="right") - 1
         np.clip(i, 0, len(self.times_s) - 2, out=i)
-        start = self.times_s[i]
-        h = self.times_s[i + 1] - start
-        u = (t_s - start) / h
-        # Of the times, not of u, which is rounded: 1 may stand for a moment before a point.
-        outside = (t_s < self.times_s[0]) | (t_s >= self.times_s[-1])
-        value = hermite(np.clip(u, 0, 1)[:, None], h[:, None], self._ends(i), derivative)
-        if derivative and outside.any():
-            value[outside] = 0.0
-        return value
+        first, last = (int(i.min()), int(i.max()) + 1) if len(i) else (0, 1)
+        h, ends = self._pieces(first, last)
+        i -= first
+        u = (t_s - self.times_s[first:].take(i)) / h.take(i)
+        u = np.minimum(np.maximum(u, 0.0), 1.0)
+        powers = reversed(_powers(h, ends, derivative))
+        value = _at(u, (power.take(i, axis=1) for power in powers))
+        if derivative:
+            value /= h.take(i) ** derivative
+            # Of the times, not of u, which is rounded: 1 may stand for a moment before a point.
+            value[:, (t_s < self.times_s[0]) | (t_s >= self.times_s[-1])] = 0.0
+        return value.T
 
     def bezier(self, first: int, last: int) -> tuple[Array, Array]:
         """Durations [pieces] and control points [degree + 1, axes, pieces] of some pieces.
@@ -120,33 +135,30 @@ class Curve:
         The pieces are `first` … `last` − 1. The curve stays between the smallest and the
         largest of a piece's control points.
         """
-        part = slice(first, last + 1)
-        h = np.diff(self.times_s[part])
-        if self.velocities is None:
-            v = self._slopes(np.arange(first, last + 1)).T
-        else:
-            v = self.velocities[part].T
-        p, v = np.ascontiguousarray(self.positions[part].T), np.ascontiguousarray(v)
-        points = np.empty((self.degree + 1, len(p), len(h)))
-        points[0], points[-1] = p[:, :-1], p[:, 1:]
+        h, ((p0, p1), (v0, v1), *bends) = self._pieces(first, last)
+        points = np.empty((self.degree + 1, *p0.shape))
+        points[0], points[-1] = p0, p1
         step = h / self.degree
-        points[1] = points[0] + step * v[:, :-1]
-        points[-2] = points[-1] - step * v[:, 1:]
-        if self.accelerations is not None:
-            a = np.ascontiguousarray(self.accelerations[part].T)
+        points[1] = p0 + step * v0
+        points[-2] = p1 - step * v1
+        for a0, a1 in bends:
             bend = h * h / 20
-            points[2] = 2 * points[1] - points[0] + bend * a[:, :-1]
-            points[3] = 2 * points[4] - points[5] + bend * a[:, 1:]
+            points[2] = 2 * points[1] - p0 + bend * a0
+            points[3] = 2 * points[4] - p1 + bend * a1
         return h, points
 
-    def _ends(self, i: NDArray[np.intp]) -> tuple[tuple[Array, Array], ...]:
-        """(p0, p1), (v0, v1) and (a0, a1) of the pieces i [m], each [m, axes]."""
+    def _pieces(self, first: int, last: int) -> tuple[Array, Ends]:
+        """Durations [pieces] and ends, each [axes, pieces], of the pieces first … last − 1."""
+        part = slice(first, last + 1)
         if self.velocities is None:
-            pieces, of = np.unique(i, return_inverse=True)
-            slopes = self._slopes(pieces).take(of, 0), self._slopes(pieces + 1).take(of, 0)
-            return _both(self.positions, i), slopes
-        given = (self.positions, self.velocities, self.accelerations)
-        return tuple(_both(values, i) for values in given if values is not None)
+            velocities = self._slopes(np.arange(first, last + 1))
+        else:
+            velocities = self.velocities[part]
+        given = [self.positions[part], velocities]
+        if self.accelerations is not None:
+            given.append(self.accelerations[part])
+        rows = (np.ascontiguousarray(values.T) for values in given)
+        return np.diff(self.times_s[part]), tuple((row[:, :-1], row[:, 1:]) for row in rows)
 
     def _slopes(self, i: NDArray[np.intp]) -> Array:
         """Velocities at the points i of a curve through positions alone [m, axes].
@@ -168,8 +180,3 @@ class Curve:
         if self.start_velocity is not None:
             slopes[i == 0] = self.start_velocity
         return slopes
-
-
-def _both(values: Array, i: NDArray[np.intp]) -> tuple[Array, Array]:
-    """Values at both ends of the pieces i; `take` is much faster than indexing."""
-    return values.take(i, axis=0), values.take(i + 1, axis=0)

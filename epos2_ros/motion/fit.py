@@ -23,7 +23,7 @@ from epos2_ros.errors import ConfigurationError, TrajectoryError
 from epos2_ros.motion import knots
 from epos2_ros.motion.record import MAX_SEGMENT_MS, Record
 
-_BLOCK = 512  # times sampled at once: what they take stays in the cache
+_BLOCK = 16384  # positions sampled at once: what they take stays in the cache
 
 
 class Reference(Protocol):
@@ -159,6 +159,7 @@ class _Samples:
         self.paths: list[tuple[knots.Vector, knots.Vector]] = []
         self._reference = reference
         self._positions = np.empty((axes, 0))  # [axes, times] [qc]
+        self._block = 1 + _BLOCK // max(axes, 1)
 
     def extend(self, earliest_ms: int, last_ms: int) -> None:
         """Sample up to `last_ms` and forget what is before `earliest_ms`."""
@@ -166,10 +167,11 @@ class _Samples:
         positions = np.empty((known.shape[0], last_ms + 1 - earliest_ms))
         have = known.shape[1]
         positions[:, :have] = known
-        for at in range(have, positions.shape[1], _BLOCK):
-            k = np.arange(at, min(at + _BLOCK, positions.shape[1])) + earliest_ms
-            own = self._reference.positions(np.minimum(k, self.end_ms))
-            positions[:, at : at + _BLOCK] = own.T
+        moving = min(max(have, self.end_ms + 1 - earliest_ms), positions.shape[1])
+        for at in range(have, moving, self._block):
+            k = np.arange(at, min(at + self._block, moving))
+            positions[:, k[0] : k[-1] + 1] = self._reference.positions(k + earliest_ms).T
+        positions[:, moving:] = positions[:, moving - 1 : moving]
         self._positions = positions
         self.first_ms, self.last_ms = earliest_ms, last_ms
         vectors = [knots.vector(own) for own in positions]

@@ -61,9 +61,18 @@ def _compiled(function: _F) -> _F:
     return compiled
 
 
+def _inlined(function: _F) -> _F:
+    """Compiled into each place it is called from: for what is quicker than to count the references
+    to the vectors it is given."""
+    if not COMPILED:
+        return function
+    compiled: Any = numba.njit(inline="always")(function)
+    return compiled
+
+
 def vector(values: Iterable[float]) -> Vector:
     """Numbers as the compiled code takes them."""
-    return np.array(values, dtype=np.float64) if COMPILED else [float(x) for x in values]
+    return np.asarray(values, dtype=np.float64) if COMPILED else [float(x) for x in values]
 
 
 if COMPILED:
@@ -144,13 +153,13 @@ class _Ends(NamedTuple):
     way: Vector  # index of the way its segment is added to
 
 
-@_compiled
+@_inlined
 def _copy(source: Vector, at: int, target: Vector, to: int, count: int) -> None:
     for i in range(count):
         target[to + i] = source[at + i]
 
 
-@_compiled
+@_inlined
 def _evaluate(polygon: _Polygon, n: int, t: float) -> tuple[float, float]:
     """Values of b + a·t at the n vertices; returns the smallest and the largest."""
     least, most = inf, -inf
@@ -161,7 +170,7 @@ def _evaluate(polygon: _Polygon, n: int, t: float) -> tuple[float, float]:
     return least, most
 
 
-@_compiled
+@_inlined
 def _halve(polygon: _Polygon, n: int, bound: float, sign: float) -> int:
     """Keep the part with sign·(value − bound) ≥ 0; returns its number of vertices."""
     b, a, value = polygon
@@ -250,7 +259,7 @@ def _reach(
     return float(min(t1, terms.longest))
 
 
-@_compiled
+@_inlined
 def keeps(
     path: Path, k: int, p0: float, v0: float, time: int, p1: float, v1: float, terms: Terms
 ) -> bool:
@@ -267,7 +276,7 @@ def keeps(
     return fastest <= terms.fastest and max(abs(2 * b), abs(2 * b + 6 * a * time)) <= terms.steepest
 
 
-@_compiled
+@_inlined
 def _roughness(
     path: Path, k: int, p0: float, v0: float, time: int, p1: float, v1: float, terms: Terms
 ) -> float:
@@ -296,14 +305,14 @@ def _roughness(
     return weight * max(total, 0.0)
 
 
-@_compiled
+@_inlined
 def _speed(p: Vector, k: int, time: int) -> float:
     """Commanded velocity at k [qc/ms] from the `time` milliseconds before, where curvature is."""
     last = p[k] - p[k - 1]
     return last if time < 2 else (3 * last - p[k - 1] + p[k - 2]) / 2
 
 
-@_compiled
+@_inlined
 def _velocities(
     polygon: _Polygon, at: int, n: int, t: int, c: float, low: float, high: float
 ) -> tuple[float, float]:
@@ -321,7 +330,7 @@ def _velocities(
     return low, high
 
 
-@_compiled
+@_inlined
 def _enter(
     path: Path, k0: int, p0: float, v0: float, t: int, debt: float, way: int, terms: Terms,
     expected: float, aside: float, level: float, polygon: _Polygon, at: int, n: int, ends: _Ends,
