@@ -116,7 +116,7 @@ class Curve:
             return value if derivative == 0 else np.zeros_like(value)
         i: NDArray[np.intp] = np.searchsorted(self.times_s, t_s, side="right") - 1
         np.clip(i, 0, len(self.times_s) - 2, out=i)
-        first, last = (int(i.min()), int(i.max()) + 1) if len(i) else (0, 1)
+        first, last = (int(np.min(i)), int(np.max(i)) + 1) if i.size else (0, 1)
         h, ends = self._pieces(first, last)
         i -= first
         u = (t_s - self.times_s[first:].take(i)) / h.take(i)
