@@ -6,6 +6,7 @@ The rules are those of maxon's application note "Interpolation Position Mode", 2
 
 from __future__ import annotations
 
+import math
 import random
 
 import numpy as np
@@ -16,6 +17,7 @@ from simulated_time import Bench, axes
 
 from benchmarks.time_sync import bench, drives, watch, watch_motion
 from epos2_ros.config import DriverConfig
+from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.protocol.clock import MasterClock, time_of_day
 from epos2_ros.sim.epos2 import Epos2
 
@@ -201,6 +203,66 @@ def test_sync_waits_for_the_stamps_of_the_last_one():
     made.run(0.3)
     assert sum(f.can_id == SYNC for _, f, _ in made.frames) >= 2
     assert np.ptp(clocks(made)) <= 50
+
+
+class StarvedHost(Bench):
+    """It wakes up to `nap_us` late, for a frame as for what is due, and then hears at once what
+    has been on the bus meanwhile."""
+
+    def __init__(self, rng: random.Random) -> None:
+        self.nap_us = 0.0
+        self._unheard: list[tuple[int, bytes, float, bool]] = []
+        self._wakes_us = math.inf
+        self._rng = rng
+        super().__init__(drives=drives(6, record=True))
+        self.late_us = self._nap
+
+    def _nap(self) -> float:
+        return self._rng.uniform(0.0, self.nap_us)
+
+    def _on_frame(self, can_id: int, data: bytes, t_us: float, echo: bool) -> bool:
+        if not self.nap_us:
+            return super()._on_frame(can_id, data, t_us, echo)
+        if not self._unheard:
+            self._wakes_us = t_us + self._nap()
+        self._unheard.append((can_id, data, t_us, echo))
+        return self.now_us >= self._wakes_us
+
+    def _step(self) -> None:
+        unheard, self._unheard = self._unheard, []
+        for frame in unheard:
+            super()._on_frame(*frame)
+        super()._step()
+
+
+@pytest.mark.parametrize("nap_us", [0.0, 1e3, 30e3])
+def test_a_motion_may_begin_at_any_moment_of_the_sync_period(nap_us):
+    """Its SYNCs come out of turn, also when stamps of the last one are due: half a period after
+    it, for the drives that are slow. A stamp taken for that of the wrong SYNC moves a clock by
+    the time between the two."""
+    rng = random.Random(nap_us)
+    made = StarvedHost(rng)
+    made.enable()
+    made.run(2.0)
+    made.nap_us = nap_us
+    joints = [axis.joint for axis in made.config.axes]
+    spread_us = []
+    for drive in made.drives:
+        drive.look = lambda: spread_us.append(np.ptp(clocks(made)))
+    for number in range(40):
+        made.frames.clear()
+        run_to_sync(made)
+        sync_us = next(t_us for t_us, frame, _ in made.frames if frame.can_id == SYNC)
+        after_us = rng.choice([rng.uniform(0.0, 100e3), rng.uniform(49.9e3, 50e3)])
+        made.run((sync_us + after_us - made.now_us) / 1e6)
+        ends = np.array([[number % 2], [(number + 1) % 2]]) * np.full(6, 0.01)
+        at_us = rng.choice([None, made.now_us + rng.uniform(0.05e6, 0.2e6)])
+        made.path.submit(Trajectory(joints, np.array([0.0, 0.3]), ends), at_us, made.now_us)
+        assert made.group.motion is not None
+        made.wait(made.group.motion)
+        assert len({drive.ip_start_us for drive in made.drives}) == 1
+    assert len(spread_us) > 1000
+    assert max(spread_us) <= 100  # two drives at ±100 ppm part so far in five periods
 
 
 # ---------------------------------------------------------------------------- what is reported

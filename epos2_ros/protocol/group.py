@@ -504,7 +504,7 @@ class Group:
                 self._stop_all(
                     f"the start controlword was not seen on the bus for {len(self._armed)} axes"
                 )
-        elif self._now_us >= self._start_due_us():
+        elif self.time.clear and self._now_us >= self._start_due_us():
             self._enter(Phase.STARTING)
             self.time.sync(self._now_us)
 

@@ -119,8 +119,12 @@ class Timekeeper:
         return self._last_sync_us + ANSWER_US * (len(self._axes) + 1)
 
     def sync(self, now_us: float) -> None:
-        """A SYNC goes out; the period counts from it if it is out of turn."""
+        """A SYNC goes out; the period counts from it if it is out of turn.
+
+        Who has no stamp of the last one by now gets none: it would take it for that of this one.
+        """
         self._syncing = True
+        self._slow = []
         self._outbox.append(Frame(epos2.SYNC))
         self._sync_due_us += self._period_us
         if not now_us < self._sync_due_us <= now_us + self._period_us:
