@@ -3,14 +3,17 @@
 From a knot (p₀, v₀) every cubic is p₀ + v₀·t + b·t² + a·t³. To stay within the tolerance of the
 commanded position p at a millisecond t it has to satisfy
 
-    (p(t) − tolerance − p₀ − v₀·t)/t²  ≤  b + a·t  ≤  (p(t) + tolerance − p₀ − v₀·t)/t²,
+    (p(t) − tolerance − p₀ − v₀·t)/t²  ≤  b + a·t  ≤  (p(t) + tolerance − p₀ − v₀·t)/t².
 
-which is a strip of the (b, a) plane. So the cubics that stay within the tolerance up to some time
-are a convex polygon, and every further millisecond cuts a piece off it:
+So a cubic is a straight line b + a·t, and every millisecond is a window that it must pass through:
 
-- the segment can last until nothing of the polygon is left;
-- the ends it can have at time T and position P lie on one line through the polygon, which is an
-  interval of velocities; the whole ones in it are candidates.
+- the segment can last as long as a line passes through all windows. Of those that do, two are
+  kept: the one that gets highest and the one that gets lowest; a window beyond both is the end, one
+  between them turns them (O'Rourke, "An on-line algorithm for fitting straight lines between data
+  ranges", Communications of the ACM 24, 1981);
+- the cubics that end at time T and position P are the lines through one point, of which every
+  window before leaves an interval of slopes: an interval of velocities at the end, of which the
+  whole ones are candidates.
 
 Of the candidates the furthest of each class is tried (a class is: below or above the commanded
 position, and by how much faster or slower). Chosen is not the longest segment but the one from
@@ -20,8 +23,8 @@ follows. Two ends are carried on side by side; a segment later it shows which wa
 What roughness costs is subtracted from how far an end gets: the squared acceleration of the
 deviation, summed over the segment.
 
-The search cuts the polygon at a few milliseconds of a segment only; a segment is taken when the
-exact check, at every millisecond and with the drive's limits, passes.
+The search looks at the windows of a few milliseconds of a segment only; a segment is taken when
+the exact check, at every millisecond and with the drive's limits, passes.
 
 When an axis comes to rest for at least a longest segment, the search ends where the rest begins,
 as if it were the end of the motion, and the rest is kept exactly. Where a way on leads nowhere
@@ -105,13 +108,10 @@ _LEVEL = 4.0  # this many tolerances per length of the segment otherwise
 _SMOOTHER = 4  # ms between ends of a class that are looked at for being smoother
 _SIDES = 4  # below and above the commanded position, far and near
 _CLASSES = _SIDES * (2 * _LEVELS + 1)
-_BETWEEN_CUTS = 0.98  # share of the tolerance used where only some milliseconds are looked at
+_BETWEEN = 0.98  # share of the tolerance used where only some milliseconds are looked at
 _ROUNDED_END = 0.95  # share used for how far the next segment gets: its end is rounded, too
 _AHEAD = (4, 10, 18, 28, 40, 54, 70, 88, 108, 130, 154, 180, 208, 238, 255)  # looked at for it
-_CUTS = 64
 _STRIDE = 8  # ms between shorter ends; where a class begins, all in between are tried, too
-_VERTICES = _CUTS * 24  # of the polygons after all cuts
-_HALF = 160  # polygons are in the lower half of their vectors; the upper is for cutting
 _MOVES = 10  # milliseconds a knot may be moved to make its segments smoother, by even ones,
 _TILTS = 2  # and units its velocity may be changed
 _ROUGHNESS_UNIT = 1e3  # (1/ms)³ per qc²: 1 record for (1000 qc/s²)²·s at a tolerance of 1 qc
@@ -135,12 +135,12 @@ class Terms(NamedTuple):
     longest: int  # [ms]
 
 
-class _Polygon(NamedTuple):
-    """Vertices in the (b, a) plane, and the value of b + a·t at each."""
+class _Windows(NamedTuple):
+    """What b + a·t may be at some times t of a segment."""
 
-    b: Vector
-    a: Vector
-    value: Vector
+    time: Vector
+    low: Vector
+    high: Vector
 
 
 class _Ends(NamedTuple):
@@ -160,103 +160,61 @@ def _copy(source: Vector, at: int, target: Vector, to: int, count: int) -> None:
 
 
 @_inlined
-def _evaluate(polygon: _Polygon, n: int, t: float) -> tuple[float, float]:
-    """Values of b + a·t at the n vertices; returns the smallest and the largest."""
-    least, most = inf, -inf
-    for i in range(n):
-        value = polygon.b[i] + polygon.a[i] * t
-        polygon.value[i] = value
-        least, most = min(least, value), max(most, value)
-    return least, most
+def _tangent(
+    windows: _Windows, first: int, n: int, t: float, value: float, sign: float
+) -> tuple[int, float]:
+    """The line through `value` at t that turns as far as the windows before let it.
 
-
-@_inlined
-def _halve(polygon: _Polygon, n: int, bound: float, sign: float) -> int:
-    """Keep the part with sign·(value − bound) ≥ 0; returns its number of vertices."""
-    b, a, value = polygon
-    m = _HALF
-    b0, a0, value0 = b[n - 1], a[n - 1], value[n - 1]
-    inside0 = sign * (value0 - bound)
-    for i in range(n):
-        b1, a1, value1 = b[i], a[i], value[i]
-        inside1 = sign * (value1 - bound)
-        if (inside0 < 0) != (inside1 < 0):
-            share = inside0 / (inside0 - inside1)
-            b[m] = b0 + share * (b1 - b0)
-            a[m] = a0 + share * (a1 - a0)
-            value[m] = bound
-            m += 1
-        if inside1 >= 0:
-            b[m], a[m], value[m] = b1, a1, value1
-            m += 1
-        b0, a0, value0, inside0 = b1, a1, value1, inside1
-    for i in range(m - _HALF):
-        b[i], a[i], value[i] = b[_HALF + i], a[_HALF + i], value[_HALF + i]
-    return m - _HALF
-
-
-@_compiled
-def _cut(polygon: _Polygon, n: int, least: float, most: float, low: float, high: float) -> int:
-    """Keep low ≤ value ≤ high; the values are between least and most."""
-    if least > high or most < low:
-        return 0
-    if n > _HALF // 2:  # cutting may double it when rounding has its way; seen to at the end
-        return n
-    if least < low:
-        n = _halve(polygon, n, low, 1.0)
-    if most > high and n > 0:
-        n = _halve(polygon, n, high, -1.0)
-    return n
-
-
-@_compiled
-def _start(
-    path: Path, k: int, p0: float, v0: float, tolerance: float, t0: int, t1: int, steepest: float,
-    polygon: _Polygon,
-) -> int:
-    """The cubics within the tolerance at t0 and t1, within the steepest acceleration at 0."""
-    p, b, a = path.positions, polygon.b, polygon.a
-    y0, w0 = (p[k + t0] - p0 - v0 * t0) / (t0 * t0), tolerance / (t0 * t0)
-    y1, w1 = (p[k + t1] - p0 - v0 * t1) / (t1 * t1), tolerance / (t1 * t1)
-    for i in range(4):  # the corners of a parallelogram, one after the other
-        y = y0 + (w0 if i == 0 or i == 3 else -w0)
-        a[i] = (y1 + (w1 if i < 2 else -w1) - y) / (t1 - t0)
-        b[i] = y - a[i] * t0
-    if steepest == inf:
-        return 4
-    least, most = _evaluate(polygon, 4, 0.0)
-    return _cut(polygon, 4, least, most, -steepest / 2, steepest / 2)
+    Up for sign 1, down for −1. Returns the window it touches, none before `first`, and its slope.
+    """
+    bound = windows.low if sign > 0 else windows.high
+    touched, least = first, inf
+    for i in range(first, n):
+        slope = sign * (value - bound[i]) / (t - windows.time[i])
+        if slope < least:
+            touched, least = i, slope
+    return touched, sign * least
 
 
 @_compiled
 def _reach(
-    path: Path, k: int, p0: float, v0: float, terms: Terms, tolerance: float, polygon: _Polygon
-) -> float:
-    """How long the segment from a knot can get [ms], interpolated between the times looked at."""
-    t0, t1 = _AHEAD[0], _AHEAD[1]
-    n = _start(path, k, p0, v0, tolerance, t0, t1, terms.steepest, polygon)
-    if n == 0:
-        return 1.0
-    overlap = 1.0
-    for step in range(2, len(_AHEAD)):
-        if n == 0 or t1 >= terms.longest:
+    path: Path, k: int, p0: float, v0: float, terms: Terms, tolerance: float, windows: _Windows
+) -> tuple[float, int]:
+    """How long the segment from a knot can get [ms], interpolated, and how long at most."""
+    half = terms.steepest / 2  # b is half the acceleration at 0, b + a·3·t that at t
+    n = 0
+    if half < inf:
+        windows.time[0], windows.low[0], windows.high[0] = 0.0, -half, half
+        n = 1
+    # Of the lines through all windows the one that gets highest and the one that gets lowest.
+    rise, top, risen = 0.0, inf, 0
+    fall, bottom, fallen = 0.0, -inf, 0
+    before, overlap = 1, 1.0
+    for step in range(len(_AHEAD)):
+        t = _AHEAD[step]
+        if before >= terms.longest:
             break
-        t0, t1 = t1, _AHEAD[step]
-        tt = t1 * t1
-        y = path.positions[k + t1] - p0 - v0 * t1
+        tt = t * t
+        y = path.positions[k + t] - p0 - v0 * t
         low, high = (y - tolerance) / tt, (y + tolerance) / tt
-        least, most = _evaluate(polygon, n, t1)
+        most, least = rise * t + top, fall * t + bottom
         missed = max(least - high, low - most) * tt
         if missed > 0:
-            return min(t0 + (t1 - t0) * overlap / (overlap + missed), float(terms.longest))
+            reach = before + (t - before) * overlap / (overlap + missed)
+            return min(reach, float(terms.longest)), min(t - 1, terms.longest)
         overlap = (min(most, high) - max(least, low)) * tt
-        n = _cut(polygon, n, least, most, low, high)
-        if n > 0 and terms.steepest < inf:  # the acceleration at t1 is 2·(b + a·3·t1)
-            least, most = _evaluate(polygon, n, 3.0 * t1)
-            n = _cut(polygon, n, least, most, -terms.steepest / 2, terms.steepest / 2)
-            if n == 0:
-                return float(t0)
-    return float(min(t1, terms.longest))
+        windows.time[n], windows.low[n], windows.high[n] = t, low, high
+        if n > 0 and most > high:
+            risen, rise = _tangent(windows, risen, n, t, high, 1.0)
+            top = high - rise * t
+        if n > 0 and least < low:
+            fallen, fall = _tangent(windows, fallen, n, t, low, -1.0)
+            bottom = low - fall * t
+        n += 1
+        if half < inf and (rise * 3 * t + top < -half or fall * 3 * t + bottom > half):
+            return float(before), min(t - 1, terms.longest)
+        before = t
+    return float(min(before, terms.longest)), terms.longest
 
 
 @_inlined
@@ -313,29 +271,11 @@ def _speed(p: Vector, k: int, time: int) -> float:
 
 
 @_inlined
-def _velocities(
-    polygon: _Polygon, at: int, n: int, t: int, c: float, low: float, high: float
-) -> tuple[float, float]:
-    """Range of a on the line b + a·t = c through the polygon whose vertices begin at `at`."""
-    b, a = polygon.b, polygon.a
-    a0 = a[at + n - 1]
-    inside0 = b[at + n - 1] + a0 * t - c
-    for i in range(at, at + n):
-        a1 = a[i]
-        inside1 = b[i] + a1 * t - c
-        if (inside0 < 0) != (inside1 < 0):
-            cross = a0 + (a1 - a0) * inside0 / (inside0 - inside1)
-            low, high = min(low, cross), max(high, cross)
-        a0, inside0 = a1, inside1
-    return low, high
-
-
-@_inlined
 def _enter(
     path: Path, k0: int, p0: float, v0: float, t: int, debt: float, way: int, terms: Terms,
-    expected: float, aside: float, level: float, polygon: _Polygon, at: int, n: int, ends: _Ends,
+    expected: float, aside: float, level: float, windows: _Windows, n: int, ends: _Ends,
 ) -> bool:
-    """Enter the ends at time t; the cubics that get there are in the polygon of n vertices at `at`.
+    """Enter the ends at time t, before which there are n windows.
 
     Returns whether any is the first of its class.
     """
@@ -352,16 +292,16 @@ def _enter(
         if abs(p1 - position) > terms.tolerance:
             continue
         c = ((p1 - p0) * per_t - v0) * per_t  # b + a·t of the cubics that end there
-        if t == 1:
-            low, high = -inf, inf
-        elif n > 0:
-            low, high = _velocities(polygon, at, n, t, c, inf, -inf)
-        else:  # t is 2, before any cut; b + a is within the tolerance, too
-            y = path.positions[k0 + 1] - p0 - v0
-            low, high = c - y - terms.tolerance, c - y + terms.tolerance
+        low, high = -inf, inf  # of a, on the way there
         if steepest < inf:  # accelerations are 2·(c − a·t) and 2·(c + 2·a·t)
-            low = max(low, (c - steepest / 2) * per_t, (-steepest / 2 - c) * per_t / 2)
-            high = min(high, (c + steepest / 2) * per_t, (steepest / 2 - c) * per_t / 2)
+            low = max((c - steepest / 2) * per_t, (-steepest / 2 - c) * per_t / 2)
+            high = min((c + steepest / 2) * per_t, (steepest / 2 - c) * per_t / 2)
+        for i in range(n):
+            per = 1.0 / (t - windows.time[i])
+            low = max(low, (c - windows.high[i]) * per)
+            high = min(high, (c - windows.low[i]) * per)
+            if low > high:
+                break
         if low > high:
             continue
         slowest = max((v0 + (2 * c + low * t) * t) * per_unit, -top, speed - 1e6)
@@ -388,38 +328,18 @@ def _enter(
 @_compiled
 def _ends(
     path: Path, k0: int, p0: float, v0: float, debt: float, way: int, terms: Terms,
-    expected: float, aside: float, shortest: int, last: int, level: float, polygon: _Polygon,
+    expected: float, aside: float, shortest: int, latest: int, level: float, windows: _Windows,
     ends: _Ends,
 ) -> None:
-    """Enter the ends, from `shortest` to path time `last`, of segments from one knot."""
+    """Enter the ends of segments from one knot, which last from `shortest` to `latest`."""
     step = max(1, shortest // 8)
-    tolerance = terms.tolerance * _BETWEEN_CUTS
-    longest = min(terms.longest, last - k0)
-    # What is left after each cut is kept behind the polygon in work.
-    times, firsts = _room(_CUTS + 1), _room(_CUTS + 2)
-    cuts = 0
-    firsts[0] = 2 * _HALF
-    t = 2 * step
-    n = 0
-    if t <= longest:
-        n = _start(path, k0, p0, v0, tolerance, step, t, terms.steepest, polygon)
-    while n > 0 and cuts < _CUTS and t <= longest:
-        at = int(firsts[cuts])
-        if at + n > 2 * _HALF + _VERTICES:
-            break
-        _copy(polygon.b, 0, polygon.b, at, n)
-        _copy(polygon.a, 0, polygon.a, at, n)
-        times[cuts] = t
-        cuts += 1
-        firsts[cuts] = at + n
-        t += step
-        if t <= longest:
-            least, most = _evaluate(polygon, n, t)
-            tt = t * t
-            y = path.positions[k0 + t] - p0 - v0 * t
-            n = _cut(polygon, n, least, most, (y - tolerance) / tt, (y + tolerance) / tt)
-    latest = min(longest, t)
-    known = cuts
+    tolerance = terms.tolerance * _BETWEEN
+    for i in range((latest - 1) // step):
+        t = (i + 1) * step
+        tt = t * t
+        y = path.positions[k0 + t] - p0 - v0 * t
+        windows.time[i] = t
+        windows.low[i], windows.high[i] = (y - tolerance) / tt, (y + tolerance) / tt
     t = latest + 1
     stride = 1
     while t > shortest:
@@ -427,23 +347,13 @@ def _ends(
             stride = min(step, _STRIDE)
         t -= stride
         # The first of its class is searched for in what has been left out, too.
-        later = t
-        while later < min(t + stride, latest + 1):
-            while cuts < known and times[cuts] < later:
-                cuts += 1
-            while cuts > 0 and times[cuts - 1] >= later:
-                cuts -= 1
-            at = int(firsts[max(cuts - 1, 0)])
-            n = int(firsts[cuts]) - at
-            if n == 0 and (t > 2 or step > 1):
-                return
+        for later in range(t, min(t + stride, latest + 1)):
             first_of_class = _enter(
-                path, k0, p0, v0, later, debt, way, terms, expected, aside, level, polygon, at, n,
-                ends,
+                path, k0, p0, v0, later, debt, way, terms, expected, aside, level, windows,
+                (later - 1) // step, ends,
             )
             if later == t and not first_of_class:
                 break
-            later += 1
 
 
 @_compiled
@@ -493,8 +403,7 @@ def _grow(path: Path, plan: Vector, terms: Terms, end: int) -> bool:
     known = int(plan[_KNOWN])
     before = _room(WIDTH * _WAY)
     _copy(plan, 0, before, 0, WIDTH * _WAY)
-    size = 2 * _HALF + _VERTICES
-    polygon = _Polygon(_room(size), _room(size), _room(2 * _HALF))
+    windows = _Windows(_room(_AHEAD[-1]), _room(_AHEAD[-1]), _room(_AHEAD[-1]))
     ends = _Ends(
         _room(_CLASSES), _room(_CLASSES), _room(_CLASSES), _room(_CLASSES), _room(_CLASSES)
     )
@@ -505,19 +414,19 @@ def _grow(path: Path, plan: Vector, terms: Terms, end: int) -> bool:
             ends.gain[c], ends.k[c] = -inf, 0
         for way in range(int(plan[_WAYS])):
             k0, p0, v0 = _knot(before, way, known, unit)
-            expected = _reach(path, k0, p0, v0, terms, terms.tolerance, polygon)
+            expected, latest = _reach(path, k0, p0, v0, terms, terms.tolerance, windows)
             level = max(level, _LEVEL * terms.tolerance / (expected * unit))
-            last = end - 1
+            latest = min(latest, end - 1 - k0)
             aside = max(0.0, terms.tolerance / 2 - 0.5)  # below and above: half a tolerance away
             left = end - k0
             if left < 2 * expected:  # it takes two; the second ends exactly where the motion does
-                last, aside = min(last, k0 + max(1, 2 * left // 3)), 0.0
+                latest, aside = min(latest, max(1, 2 * left // 3)), 0.0
             if search == 2:
-                last = min(last, k0 + 1)
-            shortest = 1 if search == 1 else max(1, int(0.6 * min(expected, last - k0)))
+                latest = min(latest, 1)
+            shortest = 1 if search == 1 else max(1, int(0.6 * min(expected, latest)))
             _ends(
                 path, k0, p0, v0, before[way * _WAY + _DEBT], way, terms, expected, aside, shortest,
-                last, level, polygon, ends,
+                latest, level, windows, ends,
             )
         for c in range(_CLASSES):
             scores[c] = ends.gain[c]
@@ -529,7 +438,7 @@ def _grow(path: Path, plan: Vector, terms: Terms, end: int) -> bool:
                     scores[c] += left - cost
                 else:
                     ahead = _ROUNDED_END * terms.tolerance
-                    reach = _reach(path, k1, p1, v1, terms, ahead, polygon)
+                    reach, _ = _reach(path, k1, p1, v1, terms, ahead, windows)
                     scores[c] += reach if reach < left else left / 2  # it takes two
         n = 0
         while n < WIDTH:
