@@ -38,7 +38,8 @@ def join(
     of the trajectory's own zero. If that is earlier, the trajectory is joined where it
     would be. If its first point has a time_from_start that is still to come, the way there
     starts from the state the axes are in. Joints it does not name come to rest and hold.
-    Starting from rest, the first point may be `start_tolerance` [unit] away.
+    Starting from rest, the first point may be `start_tolerance` [unit] away; a difference that
+    is none in whole counts is left to the tolerance of the records.
 
     Raises TrajectoryError; `current` is then still valid.
     """
@@ -55,6 +56,8 @@ def join(
         )
     curve = _placed(trajectory, axes, state, limits, at_s, start_s)
     check(curve, limits, start_s)
+    if current.rests(at_ms):
+        state = _as_counted(current, state, curve.evaluate(np.array([at_s]))[0])
     return current.followed_by(cross(curve, state, limits, at_s, _same(current)), at_ms)
 
 
@@ -137,6 +140,16 @@ def _check_start(
             f"{limits.units[joint]} is {away[worst]:.4g} {limits.units[joint]} away from where "
             f"it is, allowed {tolerance:g} (constraints.start_tolerance)"
         )
+
+
+def _as_counted(current: Reference, state: State, there: Array) -> State:
+    """Where axes at rest stand; `there` [axes], where that is the same in the drive's counts."""
+    stands, wanted = (
+        np.array([units.to_qc(x) for units, x in zip(current.units, position, strict=True)])
+        for position in (state.position.tolist(), there.tolist())
+    )
+    same = np.floor(stands + 0.5) == np.floor(wanted + 0.5)
+    return state._replace(position=np.where(same, there, state.position))
 
 
 def _same(current: Reference) -> tuple[Array, Array]:
