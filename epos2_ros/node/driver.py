@@ -362,7 +362,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     node = DriverNode()
     if not knots.COMPILED:
         node.get_logger().warning(
-            "Numba is not installed: fitting takes some fifty times longer (Debian, Ubuntu: "
+            "Numba is not installed: fitting takes some hundred times longer (Debian, Ubuntu: "
             "sudo apt install python3-numba)"
         )
     elif not knots.compiled_before():
