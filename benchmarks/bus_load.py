@@ -75,7 +75,7 @@ def measure(count: int, state_rate_hz: float, tolerance_qc: float, bitrate: int)
             due_us.append(now_us)
         sync(now_us)
 
-    made.group.time.sync = noting_sync  # type: ignore[method-assign]
+    made.group.time.sync = noting_sync
     made.frames.clear()
     before, begin_us, bits = made.bus.bits_by_function.copy(), made.now_us, made.bus.bits
     made.wait(finished)

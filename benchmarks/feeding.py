@@ -48,7 +48,7 @@ class Ledger:
                 self._sent[frame.can_id - RECORD].append(frame.data)
             return frame
 
-        made.group.feeder.next = noting_next  # type: ignore[method-assign]
+        made.group.feeder.next = noting_next
 
     @property
     def on_the_way(self) -> int:
