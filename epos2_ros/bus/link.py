@@ -24,6 +24,7 @@ from epos2_ros.bus.timestamps import ReceiveClock, now_us
 from epos2_ros.bus.transmitter import Transmitter, worst_case_bits
 from epos2_ros.errors import BusError
 from epos2_ros.protocol.frame import Frame
+from epos2_ros.receive_buffer import deepen
 
 PROBE_TIMEOUT_S = 0.2
 RECEIVE_TIMEOUT_S = 0.1  # so often the receiving thread looks whether it is to end
@@ -231,16 +232,20 @@ def open_bus(interface: str, channel: str, bitrate: int, echoes: bool = True) ->
     try:
         if interface == "slcan":
             return SlcanBus(channel, bitrate=bitrate)
-        if not echoes:
-            return can.Bus(**arguments)
-        try:
-            return can.Bus(receive_own_messages=True, **arguments)
-        except can.CanInterfaceNotImplementedError as error:
-            if "own messages" not in str(error):
-                raise
-            return can.Bus(**arguments)
+        bus = _own_messages_too(arguments) if echoes else can.Bus(**arguments)
+        deepen(bus)
+        return bus
     except (can.CanError, OSError, ValueError, ImportError, TypeError) as error:
         raise BusError(
             f"can't open CAN interface {interface!r}, channel {channel!r}: {error}; check "
             "can.interface and can.channel, and that the interface is up (ip link show)"
         ) from error
+
+
+def _own_messages_too(arguments: dict[str, Any]) -> can.BusABC:
+    try:
+        return can.Bus(receive_own_messages=True, **arguments)
+    except can.CanInterfaceNotImplementedError as error:
+        if "own messages" not in str(error):
+            raise
+        return can.Bus(**arguments)

@@ -14,6 +14,7 @@ import can
 
 from epos2_ros.arguments import without_ros_arguments
 from epos2_ros.errors import ConfigurationError, Epos2RosError
+from epos2_ros.receive_buffer import deepen
 
 from .realtime import RealtimeSimulator, build_copley_drives, build_drives, save_log
 from .slcan import SlcanAdapter
@@ -101,11 +102,13 @@ def _open_bus(arguments: argparse.Namespace) -> can.BusABC:
     if arguments.slcan:
         return SlcanAdapter()
     try:
-        return can.Bus(
+        bus = can.Bus(
             interface=arguments.interface,
             channel=arguments.channel,
             bitrate=arguments.bitrate,
         )
+        deepen(bus)
+        return bus
     except (can.CanError, OSError, ValueError, ImportError) as error:
         hint = "; is it there and up (ip link)?" if arguments.interface == "socketcan" else ""
         raise ConfigurationError(
