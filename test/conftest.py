@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import fcntl
 import os
-import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from socketcan_guest import Guest, Recorder, kernel_has_vcan
+from socketcan_guest import Guest, Recorder, kernel_has_vcan, run_tool
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -79,12 +78,12 @@ def ros_env(ros_domain_id: int) -> dict[str, str]:
 def vcan() -> Iterator[str]:
     """The name of a virtual CAN interface of this test's own (mark: socketcan)."""
     name = f"vcan{os.getpid() % 10**6}"
-    subprocess.run(["ip", "link", "add", name, "type", "vcan"], check=True)
+    run_tool("ip", "link", "add", name, "type", "vcan")
     try:
-        subprocess.run(["ip", "link", "set", name, "up"], check=True)
+        run_tool("ip", "link", "set", name, "up")
         yield name
     finally:
-        subprocess.run(["ip", "link", "delete", name], check=True)
+        run_tool("ip", "link", "delete", name)
 
 
 @pytest.fixture
@@ -95,5 +94,5 @@ def slow_vcan(vcan: str) -> str:
     that finds the queue full is refused with ENOBUFS.
     """
     shape = ["rate", "125kbit", "burst", "16", "limit", "160"]
-    subprocess.run(["tc", "qdisc", "add", "dev", vcan, "root", "tbf", *shape], check=True)
+    run_tool("tc", "qdisc", "add", "dev", vcan, "root", "tbf", *shape)
     return vcan

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -32,6 +33,18 @@ def kernel_has_vcan() -> bool:
         except FileNotFoundError:
             return False
     return parameter.exists() and parameter.read_text().strip() == "Y"
+
+
+def run_tool(*command: str) -> None:
+    """Run a program by its full path.
+
+    Python holds its lock until the new program runs. To try one folder of PATH after the other
+    takes half a second in a guest on a busy computer, and so long no thread of a driver in this
+    process sends a heartbeat.
+    """
+    program = shutil.which(command[0])
+    assert program, f"{command[0]} is not installed"
+    subprocess.run([program, *command[1:]], check=True)
 
 
 class Recorder:

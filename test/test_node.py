@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import math
 import os
 import re
@@ -307,6 +308,16 @@ def test_without_autostart_it_follows_the_transitions(world):
         assert world.change(transition)
         assert world.state == state
         assert world.drivers[0].calls == calls
+
+
+def test_looking_for_garbage_stops_no_thread_for_long_while_configured(world):
+    """Python's collector stops all threads for as long as it takes to look through all objects:
+    those that stay for good (ROS, Numba, the drives' dictionaries) are no more looked through."""
+    world.started()
+    assert len(gc.get_objects()) < gc.get_freeze_count() / 10
+    assert world.change(Transition.TRANSITION_DEACTIVATE)
+    assert world.change(Transition.TRANSITION_CLEANUP)
+    assert gc.get_freeze_count() == 0
 
 
 def test_shutdown_while_active_disables_and_closes(world):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import socket
 import struct
-import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -17,6 +16,7 @@ import pytest
 from builtin_interfaces.msg import Time
 from can.interfaces.socketcan import SocketcanBus
 from diagnostic_msgs.msg import DiagnosticStatus
+from socketcan_guest import run_tool
 from two_processes import QC_PER_M, SCAN, Drives, Rig, assert_executed, rig
 
 from epos2_ros.bus.link import Link
@@ -186,12 +186,12 @@ def test_an_interface_that_goes_down_and_comes_back(vcan: str, drives: Drives) -
     with rig("socketcan", vcan) as made:
         made.driver.submit(SCAN)
         made.wait(lambda snapshot: snapshot.state == "moving")
-        subprocess.run(["ip", "link", "set", vcan, "down"], check=True)
+        run_tool("ip", "link", "set", vcan, "down")
         snapshot = made.wait(lambda snapshot: snapshot.state == "fault")
         assert f"socketcan:{vcan}" in snapshot.reason
         with pytest.raises(BusError, match="interface up"):
             made.driver.reset_fault()
-        subprocess.run(["ip", "link", "set", vcan, "up"], check=True)
+        run_tool("ip", "link", "set", vcan, "up")
         assert_back_after_reset(made)
 
 
@@ -199,13 +199,13 @@ def test_a_cable_pulled_out_and_put_back(vcan: str, drives: Drives) -> None:
     """A controller that nobody acknowledges keeps its frames: here the queue lets none through."""
     with rig("socketcan", vcan) as made:
         shape = ["rate", "8bit", "burst", "16", "limit", "1600"]
-        subprocess.run(["tc", "qdisc", "add", "dev", vcan, "root", "tbf", *shape], check=True)
+        run_tool("tc", "qdisc", "add", "dev", vcan, "root", "tbf", *shape)
         snapshot = made.wait(lambda snapshot: snapshot.state == "fault")
         assert "no longer puts frames on the bus: check the cable" in snapshot.reason
         assert snapshot.dropped_frames > 0
         with pytest.raises((BusError, DriveError)):
             made.driver.reset_fault()
-        subprocess.run(["tc", "qdisc", "delete", "dev", vcan, "root"], check=True)
+        run_tool("tc", "qdisc", "delete", "dev", vcan, "root")
         assert_back_after_reset(made)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import subprocess
@@ -112,16 +113,20 @@ class Rig:
 
 @contextmanager
 def rig(interface: str, channel: str, **settings: object) -> Iterator[Rig]:
-    """Brought up and enabled, threads taking turns as in the node's process."""
+    """Brought up and enabled; threads take turns, and garbage is looked for, as in the node's
+    process."""
     made = Rig(interface, channel, **settings)
     interval = sys.getswitchinterval()
     sys.setswitchinterval(0.0005)
     try:
         made.driver.configure()
+        gc.collect()
+        gc.freeze()
         made.driver.enable()
         yield made
     finally:
         made.driver.close()
+        gc.unfreeze()
         sys.setswitchinterval(interval)
 
 

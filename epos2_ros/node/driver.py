@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import functools
+import gc
 import math
 import signal
 import sys
@@ -144,6 +145,10 @@ class DriverNode(LifecycleNode):
         config = self._declared.config()
         driver = self._make_driver(config, self._on_event, self._on_output)
         driver.configure()
+        # What is there by now stays: to look through it for garbage would stop all threads of the
+        # process for 70 ms now and then, the one that feeds the drives, too.
+        gc.collect()
+        gc.freeze()
         self._driver, self._channel = driver, config.channel
         self._clock_limits = config.clock_limits
         self._topic_timers = [
@@ -208,6 +213,7 @@ class DriverNode(LifecycleNode):
         driver, self._driver = self._driver, None
         if driver is not None:
             driver.close()
+            gc.unfreeze()
 
     def _autostart(self) -> None:
         self._autostart_timer.cancel()
