@@ -4,6 +4,7 @@
     python -m benchmarks.time_sync --periods        # over the SYNC period
     python -m benchmarks.time_sync --motion         # in motion, with and without the line fit
     python -m benchmarks.time_sync --starts 100     # start spread, and how late they start
+    python -m benchmarks.time_sync --sources        # drives as clock master and SYNC producer
 
 In simulated time, the drives' clocks drifting evenly from −100 to +100 ppm, from 2 s after the
 bring-up. Jitter is how late the host's thread wakes up (even from 0 on), noise the standard
@@ -14,6 +15,7 @@ of every correction; of a motion it is seen when each drive executed each millis
 from __future__ import annotations
 
 import argparse
+import itertools
 import random
 import sys
 from collections.abc import Callable, Sequence
@@ -63,12 +65,22 @@ def drives(count: int, record: bool) -> list[Drive]:
 
 
 def bench(
-    jitter_us: float, noise_us: float, count: int, period_s: float, record: bool = False
+    jitter_us: float,
+    noise_us: float,
+    count: int,
+    period_s: float,
+    record: bool = False,
+    source: str = "host",
+    producer: str = "host",
 ) -> Bench:
     """Drives brought up and enabled; the host wakes up late and stamps what it sees badly."""
     rng = random.Random(f"{jitter_us} {noise_us} {count} {period_s}")
     made = Bench(
-        DriverConfig(axes=axes(count), sync_period=period_s), drives(count, record), bring_up=False
+        DriverConfig(
+            axes=axes(count), sync_period=period_s, sync_source=source, sync_producer=producer
+        ),
+        drives(count, record),
+        bring_up=False,
     )
     made.late_us = lambda: rng.uniform(0.0, jitter_us)
     made.stamp_us = lambda t_us: t_us + rng.gauss(0.0, noise_us)
@@ -168,6 +180,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--motion", action="store_true", help="in motion, from the drives' logs")
     what.add_argument("--periods", action="store_true", help="over sync.period")
+    what.add_argument("--sources", action="store_true", help="over sync.source, sync.producer")
     what.add_argument("--starts", type=int, metavar="N", help="of N motions at a given time")
     chosen = parser.parse_args(argv)
     count, period_s = chosen.axes, chosen.period
@@ -176,6 +189,13 @@ def main(argv: Sequence[str] | None = None) -> None:
         for period_s in (0.2, 0.1, 0.05, 0.02, 0.01):
             made = bench(100.0, 20.0, count, period_s)
             row(f"{period_s:g}", watch(made, chosen.seconds))
+        return
+    if chosen.sources:
+        head("sync.source, sync.producer, sync.period [s]")
+        for source, producer in itertools.product(("host", "joint_3"), ("host", "joint_2")):
+            for period_s in (0.1, 0.05):
+                made = bench(100.0, 20.0, count, period_s, source=source, producer=producer)
+                row(f"{source}, {producer}, {period_s:g}", watch(made, chosen.seconds))
         return
     if chosen.starts:
         print("| SYNC jitter, noise [us] | start spread, worst | start late, median | worst |")

@@ -74,7 +74,8 @@ class DriverConfig:
     bitrate: int = 1_000_000
     simulate: bool = True
     sync_period: float = 0.1  # [s]
-    sync_source: str = "host"
+    sync_source: str = "host"  # whose clock is the master: host or a joint
+    sync_producer: str = "host"  # who sends SYNC: host or a joint
     clock_limits: ClockLimits = field(default_factory=ClockLimits)
     buffer_time: float = 0.5  # [s]
     tolerance: float = 1.0  # [qc]

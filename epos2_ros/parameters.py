@@ -123,7 +123,8 @@ GROUP: dict[str, Spec] = {
     "can.channel": Spec("epos2", "channel of the interface, e.g. can0"),
     "can.bitrate": Spec(1_000_000, "bit rate of the bus [bit/s]", choices=BIT_RATES),
     "sync.period": Spec(0.1, "period of the SYNC [s]", 0.005, 1.0),
-    "sync.source": Spec("host", "who is the clock: host, or the joint whose drive is"),
+    "sync.source": Spec("host", "whose clock is the master: host, or a joint with an EPOS2"),
+    "sync.producer": Spec("host", "who sends SYNC: host, or a joint with an EPOS2"),
     "sync.offset_warning": Spec(100.0, "clock offset of a drive that is a warning [us]", 1.0, 1e6),
     "sync.offset_error": Spec(1000.0, "clock offset of a drive that is an error [us]", 1.0, 1e6),
     "sync.drift_warning": Spec(200.0, "clock drift of a drive that is a warning [ppm]", 1.0, 500.0),
@@ -260,6 +261,7 @@ class DriverParameters:
             simulate=values["simulate"],
             sync_period=values["sync.period"],
             sync_source=values["sync.source"],
+            sync_producer=values["sync.producer"],
             clock_limits=ClockLimits(
                 offset_warning_us=values["sync.offset_warning"],
                 offset_error_us=values["sync.offset_error"],
@@ -376,11 +378,12 @@ class DriverParameters:
                     f"axes.{axis.joint}.node_id is {axis.node_id}, which {joints} share; "
                     "each drive on the bus needs its own, from 1 to 127"
                 )
-        source, sources = self.values["sync.source"], ["host", *self.values["joints"]]
-        if source not in sources:
-            raise ConfigurationError(
-                f"sync.source is '{source}'; it must be one of {', '.join(sources)}"
-            )
+        able = ["host", *(axis.joint for axis in axes if axis.drive == "epos2")]
+        for name in ("sync.source", "sync.producer"):
+            if self.values[name] not in able:
+                raise ConfigurationError(
+                    f"{name} is '{self.values[name]}'; it must be one of {', '.join(able)}"
+                )
 
 
 def _is_token(name: str) -> bool:

@@ -83,6 +83,8 @@ class Bench:
             self.group.reconfigured(index, node.configure(), self.now_us)
         self.group.start_clock(self.now_us, time_of_day(1_700_000_000))
         self._flush()
+        if (producer := self.group.settings.sync_producer) is not None:
+            self.nodes[producer].produce_sync(round(self.config.sync_period * 1e6))
 
     def wait(self, answer: Future[None], seconds: float = 60.0) -> None:
         """Run until the answer is there, and raise what it raises."""

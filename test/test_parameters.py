@@ -187,6 +187,11 @@ def test_whole_numbers_do_where_numbers_are_asked_for(make):
         ({"can.bitrate": 1}, ["can.bitrate", "1000000"]),
         ({"can.channel": 0}, ["can.channel", "0", "text"]),
         ({"sync.source": "joint_9"}, ["sync.source", "'joint_9'", "host, joint_1"]),
+        ({"sync.producer": "joint_9"}, ["sync.producer", "'joint_9'", "host, joint_1"]),
+        (
+            {"joints": ["a", "b"], "axes.b.drive": "copley", "sync.source": "b"},
+            ["sync.source is 'b'", "must be one of host, a"],
+        ),
         ({"sync.period": 0.0}, ["sync.period", "0.0", "0.005"]),
         ({"ipm.tolerance": 0.1}, ["ipm.tolerance", "0.1", "0.5"]),
         ({"state_rate": 0}, ["state_rate", "0", "0.1"]),

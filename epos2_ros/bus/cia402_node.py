@@ -134,7 +134,7 @@ class Cia402Node:
         self, pdo: canopen.pdo.PdoMap, mapping: PdoMapping, inhibit_us: int | None = None
     ) -> None:
         pdo.clear()
-        pdo.cob_id = mapping.cob_id + self._node_id
+        pdo.cob_id = mapping.cob_id + (mapping.of_node or self._node_id)
         pdo.trans_type = mapping.transmission_type
         pdo.event_timer = None
         pdo.inhibit_time = None if inhibit_us is None else inhibit_us // 100

@@ -46,7 +46,7 @@ from epos2_ros.protocol.outputs import OutputEvent, Tally
 from epos2_ros.protocol.path import PathCommander, Placement
 from epos2_ros.protocol.profile_axes import IN_MOTION as IN_PROFILE_MOTION
 from epos2_ros.protocol.profile_axes import Phase as ProfilePhase
-from epos2_ros.protocol.timekeeper import HOST_NODE_ID
+from epos2_ros.protocol.timekeeper import HOST_NODE_ID, Timekeeper
 from epos2_ros.sim.realtime import (
     RealtimeSimulator,
     build_copley_drives,
@@ -133,7 +133,9 @@ class Driver:
         self._link: Link | None = None
         self._nodes: list[Epos2Node] = []
         self._brought_up = False  # all drives, since the link was opened
-        self._group = Group([axis_setup(axis) for axis in config.axes], group_settings(config))
+        settings = group_settings(config)
+        self._producer = settings.sync_producer
+        self._group = Group([axis_setup(axis) for axis in config.axes], settings)
         self._path = PathCommander(self._group, config)
         self._worker = Worker()
         self._announcer = ThreadPoolExecutor(1, thread_name_prefix="events")
@@ -182,10 +184,11 @@ class Driver:
                     f"axes.{axis.joint}.node_id is {HOST_NODE_ID}, which the host's heartbeat "
                     f"has; it must be from 1 to {HOST_NODE_ID - 1}"
                 )
-        if self._config.sync_source != "host":
+        shortest_s = Timekeeper.shortest_period_us(len(self._config.axes)) / 1e6
+        if self._producer is not None and self._config.sync_period < shortest_s:
             raise ConfigurationError(
-                f"sync.source is {self._config.sync_source!r}: a drive as clock master is not "
-                "supported yet; it must be host"
+                f"sync.period is {self._config.sync_period:g} s; with SYNC from a drive "
+                f"(sync.producer) {len(self._config.axes)} axes need at least {shortest_s:g} s"
             )
         if self._config.simulate:
             self._simulation = Simulation(self._config, self._copley.configs)
@@ -219,7 +222,13 @@ class Driver:
         for index in copley:
             self._worker.run(partial(self._bring_up_copley, index))
         self._reactor.call(self._start_clock)
+        self._produce_sync(round(self._config.sync_period * 1e6))
         self._brought_up = True
+
+    def _produce_sync(self, period_us: int) -> None:
+        if self._producer is not None:
+            node = self._nodes[self._producer]
+            self._worker.run(lambda: node.produce_sync(period_us))
 
     def _start_clock(self) -> None:
         now = now_us()
@@ -237,6 +246,12 @@ class Driver:
 
     def close(self) -> None:
         """Close the bus. Drives that are still enabled stop on the host's missing heartbeat."""
+        if self._brought_up and self._link is not None and not self._link.failed:
+            self._brought_up = False
+            try:
+                self._produce_sync(0)
+            except DriveError as error:
+                self._warn(str(error))
         self._worker.close()
         self._reactor.stop()
         self._predictor.close()
@@ -357,7 +372,7 @@ class Driver:
             reason=reason,
             bus_load=link.load if link else 0.0,
             sync_count=self._group.time.sync_count,
-            sync_time_source=link.time_source if link else "",
+            sync_time_source=self._sync_time_source(),
             dropped_frames=link.dropped if link else 0,
             error_frames=health.error_frames,
             refused_frames=link.refused if link else 0,
@@ -366,6 +381,13 @@ class Driver:
             receive_errors=health.receive_errors,
             start_error_us=self._group.start_error_us,
         )
+
+    def _sync_time_source(self) -> str:
+        if self._link is None:
+            return ""
+        if self._producer is None:
+            return self._link.time_source
+        return f"received from {self._config.sync_producer}, {self._link.clock.source}"
 
     def _axis_snapshot(self, index: int, path_ms: float | None) -> AxisSnapshot:
         axis, units, clock = self._group.axes[index], self._units[index], self._group.time.clock

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import canopen
 
@@ -33,6 +33,17 @@ class Epos2Settings:
     warning_acceleration_rpm_s: int | None = None  # 0x6083
     stop_deceleration_rpm_s: int | None = None  # 0x6084, 0x6085
     state_inhibit_us: int = 20_000
+    clock_master: int | None = None  # node id of the drive that is; None: the host
+
+
+def family_of(settings: Epos2Settings) -> Family:
+    """With the PDOs of a clock master, or of a drive that follows one."""
+    master = settings.clock_master
+    if master is None:
+        return EPOS2
+    if master == settings.node_id:
+        return replace(EPOS2, tpdos=epos2.CLOCK_MASTER_TPDO_MAPPINGS)
+    return replace(EPOS2, rpdos=epos2.clock_slave_rpdo_mappings(master))
 
 
 class Epos2Node:
@@ -40,7 +51,7 @@ class Epos2Node:
 
     def __init__(self, network: Network, settings: Epos2Settings) -> None:
         self.settings = settings
-        self._access = Cia402Node(network, EPOS2, settings.joint, settings.node_id)
+        self._access = Cia402Node(network, family_of(settings), settings.joint, settings.node_id)
         self.node = self._access.node
 
     def configure(self) -> int:
@@ -60,8 +71,18 @@ class Epos2Node:
         except (canopen.SdoAbortedError, canopen.SdoCommunicationError) as error:
             raise DriveError(f"{self._access}: can't clear its buffer: {error}") from error
 
+    def produce_sync(self, period_us: int) -> None:
+        """The drive sends SYNC from now on; 0: no longer."""
+        generates = epos2.GENERATES_SYNC if period_us else 0
+        try:
+            self._access.write(epos2.COMMUNICATION_CYCLE_PERIOD, period_us)
+            self._access.write(epos2.COB_ID_SYNC, generates | epos2.SYNC)
+        except (canopen.SdoAbortedError, canopen.SdoCommunicationError) as error:
+            raise DriveError(f"{self._access} can't be the SYNC producer: {error}") from error
+
     def _write_objects(self) -> None:
         s, write = self.settings, self._access.write
+        write(epos2.COB_ID_SYNC, epos2.SYNC)  # an earlier host may have made it the producer
         write(epos2.MODES_OF_OPERATION, epos2.MODE_INTERPOLATED_POSITION)
         write(epos2.VELOCITY_NOTATION_INDEX, s.velocity_notation)
         write(epos2.INTERPOLATION_SUB_MODE, -1)  # cubic spline (PVT)

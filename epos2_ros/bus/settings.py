@@ -25,6 +25,7 @@ def drive_settings(axis: AxisConfig, config: DriverConfig) -> Epos2Settings:
     units = AxisUnits.of(axis)
     limits = drive_limits(axis, margin_qc=math.ceil(config.tolerance) + 1)
     stop = axis.stop_deceleration
+    master = _index(config, config.sync_source)
     return Epos2Settings(
         joint=axis.joint,
         node_id=axis.node_id,
@@ -40,6 +41,7 @@ def drive_settings(axis: AxisConfig, config: DriverConfig) -> Epos2Settings:
             None if stop is None else units.acceleration_object(stop, "stop_deceleration")
         ),
         state_inhibit_us=round(1e6 / config.state_rate),
+        clock_master=None if master is None else config.axes[master].node_id,
     )
 
 
@@ -65,7 +67,14 @@ def group_settings(config: DriverConfig) -> GroupSettings:
         buffer_time_ms=config.buffer_time * 1e3,
         tolerance_qc=config.tolerance,
         smoothness=config.smoothness,
+        clock_master=_index(config, config.sync_source),
+        sync_producer=_index(config, config.sync_producer),
     )
+
+
+def _index(config: DriverConfig, joint: str) -> int | None:
+    """Which of the axes is meant; None: the host."""
+    return None if joint == "host" else [axis.joint for axis in config.axes].index(joint)
 
 
 def _velocity(axis: AxisConfig, units: AxisUnits, headroom: float) -> int:

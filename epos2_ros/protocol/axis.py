@@ -25,9 +25,14 @@ class AxisSetup:
 
 
 class Axis:
-    """Reported state of one drive. Fields are raw drive units; times are host µs."""
+    """Reported state of one drive. Fields are raw drive units; times are host µs.
 
-    def __init__(self, setup: AxisSetup) -> None:
+    `clock_master`: its clock is the others' master, which leaves no room in its PDOs for the motor
+    current, and for the buffer status in TPDO1 only.
+    """
+
+    def __init__(self, setup: AxisSetup, clock_master: bool = False) -> None:
+        self._clock_master = clock_master
         self.joint = setup.joint
         self.node_id = setup.node_id
         self.fit = setup.fit
@@ -82,15 +87,21 @@ class Axis:
 
     def on_tpdo3(self, data: bytes, t_us: float) -> int:
         """Returns what its clock was at the SYNC that this answers."""
-        latched, statusword, self.current_ma = epos2.TPDO3_LAYOUT.unpack(data)
-        if self._repeats(t_us):
-            self.report(statusword, t_us)
+        if self._clock_master:
+            (latched,) = epos2.CLOCK_MASTER_TPDO3_LAYOUT.unpack(data)
+        else:
+            latched, statusword, self.current_ma = epos2.TPDO3_LAYOUT.unpack(data)
+            if self._repeats(t_us):
+                self.report(statusword, t_us)
         return int(latched)
 
     def on_tpdo4(self, data: bytes, t_us: float) -> None:
-        self.demand_qc, buffer_status, self.following_error_qc = epos2.TPDO4_LAYOUT.unpack(data)
+        self.demand_qc, repeated, self.following_error_qc = epos2.TPDO4_LAYOUT.unpack(data)
         if self._repeats(t_us):
-            self.buffer_status = buffer_status
+            if self._clock_master:
+                self.report(repeated, t_us)
+            else:
+                self.buffer_status = repeated
         self.demand_us = t_us
 
     def _repeats(self, t_us: float) -> bool:

@@ -41,9 +41,8 @@ def wrapped(difference_us: float) -> float:
 class MasterClock:
     """The time since TIME, and what to tell each drive after a SYNC. Times in µs.
 
-    The master is the host, or the drive with index `master`, whom the others follow by
-    themselves; then only `master_us` and the diagnostics are of use here. `period_us` is that
-    of SYNC.
+    The master is the host, or the drive with index `master`, whose stamps the others take by
+    themselves: then this only tells the time and the diagnostics. `period_us` is that of SYNC.
     """
 
     def __init__(self, drives: int, period_us: float, master: int | None = None) -> None:
@@ -91,11 +90,12 @@ class MasterClock:
         host_us = t_us - self._zero_us
         answered = [drive for drive, clock in enumerate(latched) if clock is not None]
         passed_us = self._count(latched)
+        now_us = self.master_us(t_us)
         if len(answered) == len(latched):
             self._seen.append((host_us, *self._free_us))
             self._fit()
         if self._line is None or not answered:
-            self._sync_us, self._sync_host_us = self.master_us(t_us), host_us
+            self._sync_us, self._sync_host_us = now_us, host_us
         else:
             late_us = self._late_us(host_us)
             late = float(np.median(late_us[answered]))
@@ -105,7 +105,8 @@ class MasterClock:
             due_us = self._shown_us + passed_us / (1 + self.drift)
             self._sync_us = self._slew(float(np.median(due_us[answered])))
         if self._master is not None:
-            self._sync_us = float(self._free_us[self._master])
+            known = latched[self._master] is not None
+            self._sync_us = float(self._free_us[self._master]) if known else now_us
         for drive in answered:
             self._shown_us[drive] = self._sync_us
             off_us = (latched[drive] or 0) - self._sync_us - self._kept_us[drive]

@@ -4,14 +4,13 @@ Object names, types and bits: maxon, application note "Interpolation Position Mo
 velocity and acceleration errors are bits 10 and 11 of 0x20C4-01 (table 13 repeats 2 and 3, the
 warnings), and quick stop deceleration is 0x6085 (table 17 prints 0x6084, profile deceleration).
 
-PDOs (note, 3.7 and "Motion Synchronisation"). Identifiers are the predefined connection set,
-but for the time stamp, which all drives share: 0x200 is RPDO1 of node 0 and so never used.
+PDOs (note, 3.7 and "Motion Synchronisation"). Identifiers are the predefined connection set.
 
 | PDO   | COB-ID  | transmission       | objects                                            |
 |-------|---------|--------------------|----------------------------------------------------|
 | RPDO1 | 200+id  | asynchronous (255) | interpolation data record                          |
 | RPDO2 | 300+id  | synchronous (1)    | controlword: takes effect at the next SYNC         |
-| RPDO3 | 200     | asynchronous (255) | high resolution time stamp, the same for all       |
+| RPDO3 | 400+id  | asynchronous (255) | high resolution time stamp                         |
 | RPDO4 | 500+id  | asynchronous (255) | controlword: takes effect at once                  |
 | TPDO1 | 180+id  | event, inhibited   | statusword, buffer status, actual (free) buffer    |
 | TPDO2 | 280+id  | event, inhibited   | position actual, velocity actual                   |
@@ -20,6 +19,10 @@ but for the time stamp, which all drives share: 0x200 is RPDO1 of node 0 and so 
 
 The two synchronous TPDOs repeat statusword and buffer status at every SYNC, so that a lost
 event is made good within one SYNC period.
+
+With a drive as clock master ("Motion Synchronisation") the host sends no time stamps: TPDO3 of the
+master carries the time stamp and nothing else, RPDO3 of the others is on its COB-ID, and the
+master's TPDO4 is position demand, statusword and following error.
 """
 
 from __future__ import annotations
@@ -39,6 +42,8 @@ IP_MODE_ACTIVE_STATUSWORD = 0x1000
 # Object dictionary.
 DEVICE_TYPE = 0x1000
 ERROR_REGISTER = 0x1001
+COB_ID_SYNC = 0x1005
+COMMUNICATION_CYCLE_PERIOD = 0x1006
 CONSUMER_HEARTBEAT_TIME = 0x1016
 PRODUCER_HEARTBEAT_TIME = 0x1017
 IDENTITY = 0x1018
@@ -77,18 +82,24 @@ TPDO1, TPDO2, TPDO3, TPDO4 = 0x180, 0x280, 0x380, 0x480
 RPDO1, RPDO2, RPDO3, RPDO4 = 0x200, 0x300, 0x400, 0x500
 HEARTBEAT = 0x700
 
+GENERATES_SYNC = 1 << 30  # in 0x1005: the drive sends SYNC (CiA 301)
+
 SYNCHRONOUS = 1
 ASYNCHRONOUS = 255
 
 
 @dataclass(frozen=True)
 class PdoMapping:
-    """One PDO of a drive: number (1–4), COB-ID without the node id, objects."""
+    """One PDO of a drive: number (1–4), COB-ID without the node id, objects.
+
+    `of_node`: the node whose COB-ID it is; None: the drive's own.
+    """
 
     number: int
     cob_id: int
     transmission_type: int
     objects: tuple[tuple[int, int], ...]
+    of_node: int | None = None
 
 
 RPDO_MAPPINGS = (
@@ -119,10 +130,29 @@ TPDO_MAPPINGS = (
     ),
 )
 
+CLOCK_MASTER_TPDO_MAPPINGS = (
+    *TPDO_MAPPINGS[:2],
+    PdoMapping(3, TPDO3, SYNCHRONOUS, ((HIGH_RESOLUTION_TIME_STAMP, 0),)),
+    PdoMapping(
+        4,
+        TPDO4,
+        SYNCHRONOUS,
+        ((POSITION_DEMAND, 0), (STATUSWORD, 0), (FOLLOWING_ERROR_ACTUAL, 0)),
+    ),
+)
+
+
+def clock_slave_rpdo_mappings(master_id: int) -> tuple[PdoMapping, ...]:
+    """Of a drive that follows the clock of another, the node `master_id`."""
+    stamp = PdoMapping(3, TPDO3, ASYNCHRONOUS, ((HIGH_RESOLUTION_TIME_STAMP, 0),), master_id)
+    return (*RPDO_MAPPINGS[:2], stamp, *RPDO_MAPPINGS[3:])
+
+
 TPDO1_LAYOUT = struct.Struct("<HHI")
 TPDO2_LAYOUT = struct.Struct("<ii")
 TPDO3_LAYOUT = struct.Struct("<IHh")
 TPDO4_LAYOUT = struct.Struct("<iHh")
+CLOCK_MASTER_TPDO3_LAYOUT = struct.Struct("<I")
 EMCY_LAYOUT = struct.Struct("<HB5s")
 
 

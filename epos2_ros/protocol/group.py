@@ -9,7 +9,8 @@ The rules this file keeps:
 * Motion starts as the application note says ("Motion Synchronisation"): records in every
   buffer, reported by every drive; "enable ip mode" in every synchronous RPDO, seen on the bus;
   then one SYNC, whose time on the bus is the zero of every axis' path. No other SYNC is sent
-  between the first of those controlwords and that one.
+  between the first of those controlwords and that one. Where a drive sends SYNC, they go out right
+  after one, and the next is the start.
 * One axis in trouble stops all. Nothing starts again by itself.
 """
 
@@ -17,7 +18,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
 from enum import Enum
@@ -30,9 +31,8 @@ from epos2_ros.protocol.axis import Axis, AxisSetup
 from epos2_ros.protocol.cia402 import State
 from epos2_ros.protocol.feeder import Feeder
 from epos2_ros.protocol.frame import Frame
-from epos2_ros.protocol.timekeeper import Timekeeper
+from epos2_ros.protocol.timekeeper import LEAD_US, Timekeeper
 
-ARM_LEAD_US = 20_000.0  # from "enable ip mode" in the RPDOs to the SYNC that makes it count
 REPLY_TIMEOUT_US = 1_000_000.0  # for one step of a drive that has been told something
 RESEND_US = 200_000.0  # a controlword without effect so long is sent again
 STOP_TIMEOUT_US = 5_000_000.0  # for an axis to come to rest after a halt or quick stop
@@ -83,6 +83,8 @@ class GroupSettings:
     buffer_time_ms: float = 500.0
     tolerance_qc: float = 1.0
     smoothness: float = 0.0
+    clock_master: int | None = None  # index of the axis whose drive is; None: the host
+    sync_producer: int | None = None
 
 
 class _Step(NamedTuple):
@@ -96,14 +98,21 @@ class Group:
     """The protocol of a group of EPOS2 axes on one bus."""
 
     def __init__(self, setups: Sequence[AxisSetup], settings: GroupSettings) -> None:
-        self.axes = [Axis(setup) for setup in setups]
+        self.axes = [Axis(setup, n == settings.clock_master) for n, setup in enumerate(setups)]
         self.settings = settings
         self.phase = Phase.DISABLED
         self.outbox: deque[Frame] = deque()
         self.clearing: deque[int] = deque()  # axes whose buffer is to be cleared (0x60C4-06)
         self.events: deque[Event] = deque()
         self.deadline_us = -math.inf
-        self.time = Timekeeper(self.axes, settings.sync_period_us, self.outbox)
+        self._hosts_sync = settings.sync_producer is None
+        self.time = Timekeeper(
+            self.axes,
+            settings.sync_period_us,
+            self.outbox,
+            settings.clock_master,
+            self._hosts_sync,
+        )
         self.start_us: float | None = None  # host time of the start SYNC: path time zero
         self.reason = ""  # why the last motion was aborted, or what is wrong now
         self.feeder = Feeder(
@@ -123,6 +132,8 @@ class Group:
             epos2.SYNC: self._on_sync,
             epos2.TIME: self.time.clock.reset,
         }
+        if not self._hosts_sync:
+            self._handlers[epos2.SYNC] = lambda data, t_us: self._on_sync(t_us)
         for index in range(len(self.axes)):
             self._subscribe(index)
 
@@ -184,6 +195,14 @@ class Group:
             handler(frame.data, t_us)
 
     def _on_sync(self, t_us: float) -> None:
+        if not self._hosts_sync and self.phase is Phase.ARMING:
+            self._enter(Phase.STARTING)
+            if self._armed:
+                self._take_back(self._armed, cia402.ENABLE_OPERATION)
+                self._stop_all(
+                    f"SYNC came before the start controlword was on the bus for "
+                    f"{len(self._armed)} axes"
+                )
         starts = self.phase is Phase.STARTING and self.start_us is None
         if starts:
             self.start_us = t_us
@@ -240,7 +259,7 @@ class Group:
         if self.phase is Phase.DISABLED:
             request.set_result(None)
             return request
-        self._disarm()
+        self._disarm(cia402.QUICK_STOP)
         self.reason = "quick stop on request"
         self._fail_motion(self.reason)
         self._accept(request, Phase.QUICK_STOPPING)
@@ -279,9 +298,12 @@ class Group:
         self._settle_fault(reason)
 
     def lost_axes(self) -> list[int]:
-        """Axes that need to be brought up anew: restarted, or silent."""
+        """Axes that need to be brought up anew: restarted, silent, or no longer sending SYNC."""
+        missing = self.settings.sync_producer if self.time.sync_missing(self._now_us) else None
         return [
-            index for index, axis in enumerate(self.axes) if axis.restarted or self._silent(axis)
+            index
+            for index, axis in enumerate(self.axes)
+            if axis.restarted or self._silent(axis) or index == missing
         ]
 
     def buffer_cleared(self, index: int, error: str = "") -> None:
@@ -294,6 +316,8 @@ class Group:
     def begin(self, reference: Reference, start_us: float | None = None) -> None:
         """Start a motion from rest; its SYNC goes out at `start_us`, or as soon as possible.
 
+        Of the SYNCs that a drive sends it is the nearest that can still be armed for.
+
         `motion` then ends with it: a result when all axes have arrived, `MotionAborted` when
         they were stopped. `TrajectoryError` when no motion can begin.
         """
@@ -305,7 +329,7 @@ class Group:
         self._planned_start_us = start_us
         self.motion = Future()
         self._enter(Phase.PRIMING)
-        self.time.before_path(max(self._now_us, (start_us or -math.inf) - 2 * ARM_LEAD_US))
+        self.time.before_path(max(self._now_us, (start_us or -math.inf) - 2 * LEAD_US))
 
     # ------------------------------------------------------------------ what is known
 
@@ -368,10 +392,9 @@ class Group:
             return self.start_us + 1000 * min(self.feeder.due_ms, end_ms)
         if self.phase is Phase.PRIMING and self.feeder.due_ms <= 0:
             return self._now_us
-        if self.phase is Phase.PRIMING and self._planned_start_us is not None:
-            arm_us = self._planned_start_us - ARM_LEAD_US
-            return arm_us if arm_us > self._now_us else self._now_us + RESEND_US
-        if self.phase is Phase.ARMING:
+        if self.phase is Phase.PRIMING and self._arm_due_us() > self._now_us:
+            return self._arm_due_us()
+        if self.phase is Phase.ARMING and self._hosts_sync:
             due = self._start_due_us()
             return due if due > self._now_us else self._now_us + RESEND_US
         return self._now_us + RESEND_US / 4
@@ -477,12 +500,9 @@ class Group:
         if self._feed():
             self._fed_us = self._now_us
             return
-        planned = self._planned_start_us
         missing = self.feeder.unreported()
         if not missing:
-            if not self.time.clear or (
-                planned is not None and self._now_us < planned - ARM_LEAD_US
-            ):
+            if not self.time.clear or not self._may_arm():
                 return
             self._enter(Phase.ARMING)
             for axis in self.axes:
@@ -497,6 +517,21 @@ class Group:
                 f"{axis.account.sent} were sent"
             )
 
+    def _arm_due_us(self) -> float:
+        """The earliest time to arm."""
+        if self._hosts_sync:
+            return (self._planned_start_us or -math.inf) - LEAD_US
+        return self.time.answered_us
+
+    def _may_arm(self) -> bool:
+        if self._now_us < self._arm_due_us():
+            return False
+        if self._hosts_sync:
+            return True
+        next_us = self.time.next_sync_us
+        nearest_us = (self._planned_start_us or -math.inf) - self.settings.sync_period_us / 2
+        return self._now_us <= next_us - LEAD_US and next_us >= nearest_us
+
     def _arm(self) -> None:
         """All controlwords seen on the bus: now the SYNC that makes them count."""
         if self._armed:
@@ -504,7 +539,7 @@ class Group:
                 self._stop_all(
                     f"the start controlword was not seen on the bus for {len(self._armed)} axes"
                 )
-        elif self.time.clear and self._now_us >= self._start_due_us():
+        elif self._hosts_sync and self.time.clear and self._now_us >= self._start_due_us():
             self._enter(Phase.STARTING)
             self.time.sync(self._now_us)
 
@@ -579,12 +614,16 @@ class Group:
 
     # ------------------------------------------------------------------ stopping and trouble
 
-    def _disarm(self) -> None:
+    def _disarm(self, controlword: int = cia402.ENABLE_OPERATION) -> None:
         """Take back "enable ip mode" where no SYNC has made it count yet."""
         if self.phase is Phase.ARMING:
-            for axis in self.axes:
-                self.outbox.append(axis.synchronous_controlword(cia402.ENABLE_OPERATION))
+            self._take_back({axis.node_id for axis in self.axes}, controlword)
         self._armed.clear()
+
+    def _take_back(self, node_ids: Collection[int], controlword: int) -> None:
+        for axis in self.axes:
+            if axis.node_id in node_ids:
+                self.outbox.append(axis.synchronous_controlword(controlword))
 
     def _stop_all(self, reason: str, request: Future[None] | None = None) -> None:
         """Halt every axis that is in operation; `_finish_halt` goes on when they stand.
@@ -658,7 +697,9 @@ class Group:
 
     def _watch_silence(self) -> None:
         watched = self.phase not in (Phase.FAULT, Phase.HALTING, Phase.RESETTING)
-        if watched and any(self._silent(axis) for axis in self.axes):
+        if watched and (
+            any(self._silent(axis) for axis in self.axes) or self.time.sync_missing(self._now_us)
+        ):
             self._trouble()
 
     def _complaints(self) -> str:
@@ -671,6 +712,8 @@ class Group:
                 words.append(f"{axis} has restarted")
             elif trouble := axis.trouble():
                 words.append(f"{axis}: {trouble}")
+        if self.settings.sync_producer is not None and self.time.sync_missing(self._now_us):
+            words.append(f"no SYNC from {self.axes[self.settings.sync_producer]}")
         return "; ".join(words)
 
     def _trouble(self) -> None:

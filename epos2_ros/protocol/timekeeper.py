@@ -7,6 +7,10 @@ for that of the next.
 
 Fast drives are corrected right after the SYNC, slow ones half a period later. Fast and slow drives
 part the fastest; so the distance between any two never grows for longer than half a period.
+
+With a drive as clock master ("Motion Synchronisation") the host sends no time stamps: the others
+take the master's answer to the SYNC. With a drive as SYNC producer the host sends no SYNC, but
+notes the time of each.
 """
 
 from __future__ import annotations
@@ -26,14 +30,29 @@ OPERATIONAL = b"\x05"
 ANSWER_US = 500.0  # per axis, for its two synchronous TPDOs, before the next SYNC
 FOLLOW_UP_US = 40_000.0  # the time stamps wait no longer for a drive's answer, …
 FOLLOW_UP_SHARE = 0.4  # … and no longer than this share of the period
+LEAD_US = 20_000.0  # before a SYNC at a given time: what is to be on the bus before it is sent
+MISSED_SYNCS = 5  # so many periods without the SYNC of a drive: it does not come any more
 
 
 class Timekeeper:
-    """Keeps the clocks of `axes` together; puts its frames into `outbox`. Times are host µs."""
+    """Keeps the clocks of `axes` together; puts its frames into `outbox`. Times are host µs.
 
-    def __init__(self, axes: Sequence[Axis], period_us: float, outbox: deque[Frame]) -> None:
-        self.clock = MasterClock(len(axes), period_us)
+    `master`: index of the axis whose drive is the clock master; None: the host. `produces`:
+    whether the host sends SYNC.
+    """
+
+    def __init__(
+        self,
+        axes: Sequence[Axis],
+        period_us: float,
+        outbox: deque[Frame],
+        master: int | None = None,
+        produces: bool = True,
+    ) -> None:
+        self.clock = MasterClock(len(axes), period_us, master)
         self.sync_count = 0
+        self._master = master
+        self._produces = produces
         self._axes = axes
         self._period_us = period_us
         self._outbox = outbox
@@ -60,7 +79,9 @@ class Timekeeper:
         """TIME sets every drive's motion clock to zero; SYNC and heartbeat begin."""
         self._forget()
         self._outbox.append(Frame(epos2.TIME, time_of_day))
-        self._sync_due_us = now_us + self._period_us
+        if self._produces:
+            self._sync_due_us = now_us + self._period_us
+        self._last_sync_us = now_us
         self._heartbeat_due_us = now_us
 
     # ------------------------------------------------------------------ what was on the bus
@@ -118,6 +139,21 @@ class Timekeeper:
         """When the answers to the last SYNC are through: no other should go out before."""
         return self._last_sync_us + ANSWER_US * (len(self._axes) + 1)
 
+    @property
+    def next_sync_us(self) -> float:
+        """When the next SYNC of a drive is to be expected."""
+        return self._last_sync_us + self._period_us
+
+    @staticmethod
+    def shortest_period_us(axes: int) -> float:
+        """Of a SYNC that a drive sends: between two the axes answer, and a start can be armed."""
+        return ANSWER_US * (axes + 1) + 2 * LEAD_US
+
+    def sync_missing(self, now_us: float) -> bool:
+        """Whether the drive that should has sent no SYNC for long."""
+        overdue = now_us > self._last_sync_us + MISSED_SYNCS * self._period_us
+        return not self._produces and self.running and overdue
+
     def sync(self, now_us: float) -> None:
         """A SYNC goes out; the period counts from it if it is out of turn.
 
@@ -137,7 +173,8 @@ class Timekeeper:
     def before_path(self, sync_us: float) -> None:
         """A path is going to begin: a SYNC at `sync_us`, and the clocks as close as can be."""
         self._path_sync_us = sync_us
-        self._sync_due_us = min(self._sync_due_us, sync_us)
+        if self._produces:
+            self._sync_due_us = min(self._sync_due_us, sync_us)
 
     def after_path(self) -> None:
         """No path in progress or to come."""
@@ -162,14 +199,22 @@ class Timekeeper:
         if self._axes:  # else there is no clock to keep
             clock.on_sync(self._unstamped_us, self._latched)
         self._unstamped_us = math.inf
+        answered = [drive for drive, value in enumerate(self._latched) if value is not None]
+        if self._master is not None:
+            stamp = self._latched[self._master]
+            if stamp is not None:
+                for drive in answered:
+                    clock.corrected(drive, stamp)
+            return
         if self._begins_path:
             clock.keep()
-        answered = [drive for drive, value in enumerate(self._latched) if value is not None]
         if self._last_sync_us < self._path_sync_us:
             self._slow = [drive for drive in answered if clock.drift[drive] < 0]
         self._correct([drive for drive in answered if drive not in self._slow], now_us)
 
     def _correct(self, drives: Sequence[int], now_us: float) -> None:
+        if not self._produces and now_us > self.next_sync_us - LEAD_US:
+            return  # it would be taken for the stamp of the next SYNC
         for drive in drives:
             stamp = self.clock.stamp(drive, now_us - self._last_sync_us)
             self._stamps[drive] = stamp
