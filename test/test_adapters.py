@@ -6,13 +6,14 @@ The drives are in another process; those on `virtual` can only be in the same.
 from __future__ import annotations
 
 import os
+import time
 import tty
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from two_processes import TARGET_M, Drives, assert_log_ends_at, assert_moves, rig
+from two_processes import SCAN, TARGET_M, Drives, assert_log_ends_at, assert_moves, rig
 
 from epos2_ros.bus.slcan import SlcanBus
 from epos2_ros.config import SimulationConfig
@@ -103,3 +104,22 @@ def test_slcan_pulled_out_and_plugged_in_again(port: Port) -> None:
         made.driver.enable()
         assert made.snapshot().axes[0].position == 0.0  # not the old drives
         assert_moves(made)
+
+
+def test_slcan_has_no_time_stamps_so_a_drive_is_the_clock_and_sends_sync(port: Port) -> None:
+    x, y = SCAN.joint_names
+    with rig("slcan", str(port.path), sync_source=x, sync_producer=y) as made:
+        assert made.snapshot().sync_time_source.startswith(f"received from {y}")
+        assert_moves(made)
+        snapshot = made.wait(lambda snapshot: snapshot.sync_count > 30)
+        offsets_us = [axis.clock_offset_us for axis in snapshot.axes]
+        assert offsets_us == pytest.approx([0.0, 0.0], abs=2.0)  # these drives don't drift
+    with SlcanBus(str(port.path)) as bus:
+        end_s = time.monotonic() + 1.0
+        heard = set()
+        while time.monotonic() < end_s:
+            if (message := bus.recv(0.1)) is not None:
+                heard.add(message.arbitration_id)
+    assert heard >= {0x701, 0x702}  # heartbeats
+    assert 0x080 not in heard  # the driver has left, and its SYNC with it
+    assert_log_ends_at(port.pull_out(), TARGET_M)
