@@ -12,7 +12,8 @@ import pytest
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from epos2_ros.bus.driver import Driver, OutputSnapshot, Snapshot
+from epos2_ros.bus.driver import Driver
+from epos2_ros.bus.snapshot import OutputSnapshot, Snapshot
 from epos2_ros.compare_config import CompareConfig
 from epos2_ros.config import AxisConfig, ClockLimits, DriverConfig
 from epos2_ros.errors import ConfigurationError, TrajectoryError

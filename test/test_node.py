@@ -31,7 +31,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from epos2_ros.bus.driver import AxisSnapshot, Event, Snapshot
+from epos2_ros.bus.snapshot import AxisSnapshot, Snapshot
 from epos2_ros.compare_config import CompareConfig
 from epos2_ros.config import ClockLimits, DriverConfig
 from epos2_ros.demo.report import Executed
@@ -40,6 +40,7 @@ from epos2_ros.errors import BusError, DriveError, TrajectoryError
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.node import messages
 from epos2_ros.node.driver import EXECUTOR_THREADS, DriverNode, main
+from epos2_ros.protocol.group import Event
 from epos2_ros.protocol.outputs import OutputEvent
 
 WAIT_S = 20.0  # for something that must happen; reached only when it does not

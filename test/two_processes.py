@@ -16,7 +16,8 @@ from pathlib import Path
 import numpy as np
 from trajectories import example, polynomial
 
-from epos2_ros.bus.driver import Driver, Snapshot
+from epos2_ros.bus.driver import Driver
+from epos2_ros.bus.snapshot import Snapshot
 from epos2_ros.config import AxisConfig, DriverConfig
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.protocol.group import Event

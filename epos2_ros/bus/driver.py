@@ -11,22 +11,24 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures import TimeoutError as FutureTimeoutError
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
 
 from epos2_ros.bus.copley_axes import CopleyAxes
 from epos2_ros.bus.epos2 import Epos2Node
-from epos2_ros.bus.health import BusState, Health
-from epos2_ros.bus.link import Link, open_bus
+from epos2_ros.bus.health import Health
+from epos2_ros.bus.link import Link
 from epos2_ros.bus.output_service import OutputService
 from epos2_ros.bus.predictor import Predictor
 from epos2_ros.bus.reactor import Reactor
 from epos2_ros.bus.settings import axis_setup, drive_settings, group_settings
+from epos2_ros.bus.simulation import Simulation
+from epos2_ros.bus.snapshot import AxisSnapshot, OutputSnapshot, Snapshot
 from epos2_ros.bus.timestamps import now_us, wall_offset_us
 from epos2_ros.bus.worker import Worker
 from epos2_ros.compare_config import CompareConfig
-from epos2_ros.config import AxisConfig, DriverConfig
+from epos2_ros.config import DriverConfig
 from epos2_ros.errors import (
     ConfigurationError,
     DriveError,
@@ -42,75 +44,16 @@ from epos2_ros.protocol.clock import time_of_day
 from epos2_ros.protocol.epos2 import BUFFER_SIZE
 from epos2_ros.protocol.frame import Frame
 from epos2_ros.protocol.group import IN_MOTION, Event, Group, Phase
-from epos2_ros.protocol.outputs import OutputEvent, Tally
+from epos2_ros.protocol.outputs import OutputEvent
 from epos2_ros.protocol.path import PathCommander, Placement
 from epos2_ros.protocol.profile_axes import IN_MOTION as IN_PROFILE_MOTION
 from epos2_ros.protocol.profile_axes import Phase as ProfilePhase
 from epos2_ros.protocol.timekeeper import HOST_NODE_ID, Timekeeper
-from epos2_ros.sim.realtime import (
-    RealtimeSimulator,
-    build_copley_drives,
-    build_drives,
-    save_log,
-)
 
 T = TypeVar("T")
 
 REQUEST_TIMEOUT_S = 30.0  # the group's own limits are shorter; this one guards the wait
 IDLE_US = 100_000.0
-
-
-@dataclass(frozen=True)
-class AxisSnapshot:
-    """One axis as last reported. Joint units; NaN where the drive has not said yet."""
-
-    joint: str
-    node_id: int
-    state: str  # CiA 402 state
-    position: float
-    velocity: float
-    effort: float  # motor current [A]
-    stamp_us: float  # host time of the position sample
-    used: int
-    free: int
-    size: int
-    buffered_ms: float
-    status_word: int  # 0x20C4-01
-    fault: str
-    following_error_qc: int | None  # None: this drive does not say
-    clock_offset_us: float | None  # None: this drive has no clock that could be set
-    clock_drift_ppm: float | None
-    executed_qc: int | None  # position demand at the last SYNC
-    records_sent: int
-
-
-class OutputSnapshot(NamedTuple):
-    """One position-triggered output."""
-
-    name: str
-    joint: str
-    node_id: int
-    tally: Tally
-
-
-@dataclass(frozen=True)
-class Snapshot:
-    """The whole group at one instant."""
-
-    axes: tuple[AxisSnapshot, ...]
-    state: str
-    reason: str
-    bus_load: float  # 0 … 1
-    sync_count: int
-    sync_time_source: str
-    dropped_frames: int
-    error_frames: int
-    refused_frames: int
-    bus_state: str = BusState.ACTIVE.value  # of the CAN controller, as far as it tells
-    transmit_errors: int = 0  # the controller's counters
-    receive_errors: int = 0
-    start_error_us: float | None = None  # of the last start at a given time
-    outputs: tuple[OutputSnapshot, ...] = ()
 
 
 class Driver:
@@ -559,35 +502,3 @@ class Driver:
         except DriveError as refusal:
             error = str(refusal)
         self._reactor.post(lambda: self._group.buffer_cleared(index, error))
-
-
-class Simulation:
-    """Simulated drives for every joint of the configuration, on the driver's own bus."""
-
-    def __init__(self, config: DriverConfig, copley: Sequence[AxisConfig]) -> None:
-        self._log = config.simulation.log
-        self._drives = build_drives(
-            [axis.node_id for axis in config.axes],
-            counts_per_turn=[axis.counts_per_turn for axis in config.axes],
-            drift_ppm=config.simulation.drift_ppm,
-            seed=config.simulation.seed,
-            bitrate=config.bitrate,
-            record=self._log is not None,
-        )
-        sampled = {output.joint for output in config.outputs if output.extrapolated}
-        beside = build_copley_drives(
-            [axis.node_id for axis in copley],
-            drift_ppm=config.simulation.drift_ppm,
-            seed=config.simulation.seed,
-            extrapolated=[axis.node_id for axis in copley if axis.joint in sampled],
-        )
-        self._bus = open_bus(config.interface, config.channel, config.bitrate, echoes=False)
-        self._simulator = RealtimeSimulator(self._bus, [*self._drives, *beside])
-        self._simulator.start()
-
-    def close(self) -> None:
-        """Stop them and write their log."""
-        self._simulator.stop()
-        self._bus.shutdown()
-        if self._log is not None:
-            save_log(self._log, self._drives)

@@ -41,7 +41,7 @@ from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from epos2_ros.bus.driver import Driver, Event
+from epos2_ros.bus.driver import Driver
 from epos2_ros.compare_config import CompareConfig
 from epos2_ros.config import ClockLimits, DriverConfig
 from epos2_ros.errors import Epos2RosError
@@ -51,6 +51,7 @@ from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.node import messages
 from epos2_ros.node.parameters import Parameters
 from epos2_ros.node.serialized import read_trajectory
+from epos2_ros.protocol.group import Event
 from epos2_ros.protocol.outputs import OutputEvent
 
 # Lifecycle and parameters, trajectory, moves and outputs, four services, topics; one to spare.

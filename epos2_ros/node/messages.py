@@ -17,7 +17,7 @@ from epos2_ros.config import ClockLimits
 from epos2_ros.protocol.epos2 import BufferStatus
 
 if TYPE_CHECKING:
-    from epos2_ros.bus.driver import AxisSnapshot, OutputSnapshot, Snapshot
+    from epos2_ros.bus.snapshot import AxisSnapshot, OutputSnapshot, Snapshot
     from epos2_ros.protocol.outputs import OutputEvent
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR

@@ -1,0 +1,46 @@
+"""Drives without hardware, in the driver's own process."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from epos2_ros.bus.link import open_bus
+from epos2_ros.config import AxisConfig, DriverConfig
+from epos2_ros.sim.realtime import (
+    RealtimeSimulator,
+    build_copley_drives,
+    build_drives,
+    save_log,
+)
+
+
+class Simulation:
+    """Simulated drives for every joint of the configuration, on the driver's own bus."""
+
+    def __init__(self, config: DriverConfig, copley: Sequence[AxisConfig]) -> None:
+        self._log = config.simulation.log
+        self._drives = build_drives(
+            [axis.node_id for axis in config.axes],
+            counts_per_turn=[axis.counts_per_turn for axis in config.axes],
+            drift_ppm=config.simulation.drift_ppm,
+            seed=config.simulation.seed,
+            bitrate=config.bitrate,
+            record=self._log is not None,
+        )
+        sampled = {output.joint for output in config.outputs if output.extrapolated}
+        beside = build_copley_drives(
+            [axis.node_id for axis in copley],
+            drift_ppm=config.simulation.drift_ppm,
+            seed=config.simulation.seed,
+            extrapolated=[axis.node_id for axis in copley if axis.joint in sampled],
+        )
+        self._bus = open_bus(config.interface, config.channel, config.bitrate, echoes=False)
+        self._simulator = RealtimeSimulator(self._bus, [*self._drives, *beside])
+        self._simulator.start()
+
+    def close(self) -> None:
+        """Stop them and write their log."""
+        self._simulator.stop()
+        self._bus.shutdown()
+        if self._log is not None:
+            save_log(self._log, self._drives)
