@@ -19,6 +19,7 @@ from benchmarks.time_sync import bench, drives, watch, watch_motion
 from epos2_ros.config import DriverConfig
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.protocol.clock import MasterClock, time_of_day
+from epos2_ros.protocol.group import Phase
 from epos2_ros.sim.epos2 import Epos2
 
 WRAP = 1 << 32
@@ -98,6 +99,23 @@ def test_one_late_time_stamp_moves_no_drive():
 
     moved_us = run(20_000.0) - run(0.0)
     assert np.abs(moved_us).max() <= 2.0
+
+
+def test_a_clock_far_off_is_a_fault_and_is_set_anew():
+    """Half a SYNC period off, an answer can't be told from one to another SYNC."""
+    made = Bench(drives=drives(6, record=False))
+    made.enable()
+    made.run(2.0)
+    made.drives[3].clock._offset_us += 80_000
+    made.run(1.0)
+    assert made.group.phase is Phase.FAULT
+    assert "joint_4 (node 4): its clock is off by more than half a SYNC period" in made.group.reason
+    assert made.group.lost_axes() == [3]
+    made.bring_up()
+    made.wait(made.group.reset_fault())
+    made.enable()
+    made.run(2.0)
+    assert np.ptp(clocks(made)) <= 10
 
 
 # ---------------------------------------------------------------------------- frame by frame

@@ -144,6 +144,8 @@ class Group:
 
         def tpdo3(data: bytes, t_us: float) -> None:
             self.time.on_answer(index, axis.on_tpdo3(data, t_us), t_us)
+            if self.time.astray(index):
+                self._trouble()
 
         def emergency(data: bytes, t_us: float) -> None:
             if axis.on_emergency(data):
@@ -298,12 +300,15 @@ class Group:
         self._settle_fault(reason)
 
     def lost_axes(self) -> list[int]:
-        """Axes that need to be brought up anew: restarted, silent, or no longer sending SYNC."""
+        """Axes to be brought up anew: restarted, silent, clock astray, or without their SYNC."""
         missing = self.settings.sync_producer if self.time.sync_missing(self._now_us) else None
         return [
             index
             for index, axis in enumerate(self.axes)
-            if axis.restarted or self._silent(axis) or index == missing
+            if axis.restarted
+            or self._silent(axis)
+            or self.time.astray(index)
+            or index == missing
         ]
 
     def buffer_cleared(self, index: int, error: str = "") -> None:
@@ -705,9 +710,11 @@ class Group:
     def _complaints(self) -> str:
         """What is wrong with the drives, axis by axis; "" if nothing."""
         words = []
-        for axis in self.axes:
+        for index, axis in enumerate(self.axes):
             if self._silent(axis):
                 words.append(f"{axis} is silent: check its power and the bus")
+            elif self.time.astray(index):
+                words.append(f"{axis}: its clock is off by more than half a SYNC period")
             elif axis.restarted:
                 words.append(f"{axis} has restarted")
             elif trouble := axis.trouble():

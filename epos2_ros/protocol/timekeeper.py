@@ -31,6 +31,7 @@ ANSWER_US = 500.0  # per axis, for its two synchronous TPDOs, before the next SY
 FOLLOW_UP_US = 40_000.0  # the time stamps wait no longer for a drive's answer, …
 FOLLOW_UP_SHARE = 0.4  # … and no longer than this share of the period
 LEAD_US = 20_000.0  # before a SYNC at a given time: what is to be on the bus before it is sent
+STRAY_ANSWERS = 5  # so many in a row that can't be of the SYNC: the drive's clock has gone astray
 MISSED_SYNCS = 5  # so many periods without the SYNC of a drive: it does not come any more
 
 
@@ -61,6 +62,7 @@ class Timekeeper:
         self._heartbeat_due_us = math.inf
         self._path_sync_us = math.inf  # from this SYNC on a path is about to begin
         self._begins_path = False  # the last SYNC did
+        self._strays = [0] * len(axes)  # answers in a row that can't be of the SYNC
         self._forget()
 
     def _forget(self) -> None:
@@ -78,6 +80,7 @@ class Timekeeper:
     def start(self, now_us: float, time_of_day: bytes) -> None:
         """TIME sets every drive's motion clock to zero; SYNC and heartbeat begin."""
         self._forget()
+        self._strays = [0] * len(self._axes)
         self._outbox.append(Frame(epos2.TIME, time_of_day))
         if self._produces:
             self._sync_due_us = now_us + self._period_us
@@ -97,10 +100,15 @@ class Timekeeper:
 
     def on_answer(self, drive: int, latched: int, now_us: float) -> None:
         """A drive has answered a SYNC with what its clock was then."""
-        if self._unstamped_us < math.inf and self.clock.answers(drive, latched, self._unstamped_us):
-            self._latched[drive] = latched
-            if None not in self._latched:
-                self._follow_up(now_us)
+        if self._unstamped_us == math.inf:
+            return
+        if not self.clock.answers(drive, latched, self._unstamped_us):
+            self._strays[drive] += 1
+            return
+        self._strays[drive] = 0
+        self._latched[drive] = latched
+        if None not in self._latched:
+            self._follow_up(now_us)
 
     def on_stamp(self, drive: int) -> None:
         """A drive has got its time stamp."""
@@ -148,6 +156,10 @@ class Timekeeper:
     def shortest_period_us(axes: int) -> float:
         """Of a SYNC that a drive sends: between two the axes answer, and a start can be armed."""
         return ANSWER_US * (axes + 1) + 2 * LEAD_US
+
+    def astray(self, drive: int) -> bool:
+        """Whether a drive's clock is so far off that it can't be corrected."""
+        return self._strays[drive] >= STRAY_ANSWERS
 
     def sync_missing(self, now_us: float) -> bool:
         """Whether the drive that should has sent no SYNC for long."""
