@@ -126,6 +126,19 @@ def test_standing_or_stopping_goes_on_as_it_is() -> None:
         np.testing.assert_array_equal(stop(once, at_ms, limits).positions(k), once.positions(k))
 
 
+@pytest.mark.parametrize("again_ms", [2010, 2500])  # while it slows down; when it stands
+def test_stopping_again_cancels_what_was_to_begin_after_the_stop(again_ms: int) -> None:
+    there = Trajectory(("a",), np.array([0.0, 5.0]), np.array([[0.0], [5.0]]))
+    axes = (AxisConfig("a", 1, gear_ratio=100.0, max_acceleration=5.0),)
+    limits = Limits.of(axes)
+    once = stop(from_rest(there, axes), 2000, limits)
+    back = Trajectory(("a",), np.array([2.0, 5.0]), np.array([[3.0], [0.0]]))
+    later = join(once, back, limits, at_ms=2005, start_ms=4000)
+    assert later.end_ms == 9000
+    k = np.arange(9000)
+    np.testing.assert_array_equal(stop(later, again_ms, limits).positions(k), once.positions(k))
+
+
 def test_a_stop_can_be_followed_by_a_trajectory_and_a_transition_stopped() -> None:
     trajectory, axes = own_limits("jerk_limited")
     limits, current = Limits.of(axes), from_rest(trajectory, axes)

@@ -61,10 +61,14 @@ class Slowed:
 def stop(current: Reference, from_ms: int, limits: Limits) -> Reference:
     """`current` until `from_ms`, from there on slowing down along its path to rest.
 
-    As short as `limits.agility` allows. A stop in progress goes on as it is.
+    As short as `limits.agility` allows. A stop in progress goes on as it is; what was to begin
+    after it does not.
     """
-    if from_ms >= current.end_ms or isinstance(current.governs(from_ms), Slowed):
+    if from_ms >= current.end_ms:
         return current
+    governing = current.governs(from_ms)
+    if isinstance(governing, Slowed):
+        return current.followed_by(governing, from_ms)
     path = current.trimmed(from_ms)
     return current.followed_by(
         _brake(path, from_ms / 1000, limits.agility * PLANNED_SHARE), from_ms
