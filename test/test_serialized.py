@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from typing import Any
 
 import numpy as np
@@ -109,3 +110,13 @@ def test_a_damaged_message_is_refused(message: JointTrajectory, share: float) ->
     cut = data[: max(4, int(share * len(data)))]  # beyond one half there may be unused bytes
     with pytest.raises(TrajectoryError):
         read_trajectory(cut)
+
+
+def test_a_length_beyond_all_bounds_is_refused() -> None:
+    """4,294,967,295 efforts in the first of three points; time_from_start comes after them."""
+    first = JointTrajectoryPoint(positions=[0.1, 0.2], time_from_start=Duration(sec=7))
+    points = [first, JointTrajectoryPoint(), JointTrajectoryPoint()]
+    data = serialize_message(JointTrajectory(joint_names=list(JOINTS), points=points))
+    length = data.index(struct.pack("<i", 7)) - 4
+    with pytest.raises(TrajectoryError, match="damaged"):
+        read_trajectory(data[:length] + b"\xff" * 4 + data[length + 4 :])

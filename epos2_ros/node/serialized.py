@@ -59,6 +59,8 @@ def _from_table(data: bytes) -> Trajectory | None:
     if points < 2:
         return None
     counts, second = _point(body, at)
+    if second > len(body):
+        raise TrajectoryError("the message is damaged: point 0 is longer than all of it")
     # As a point ends where the next one begins, all after the first lie alike.
     table = _layout(second, counts)
     if second + (points - 1) * table.itemsize > len(body):
