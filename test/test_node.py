@@ -759,7 +759,11 @@ def test_arguments_ros_cannot_read_are_one_line_and_a_status(program):
     assert "Traceback" not in driver.output
 
 
-def test_main_refuses_arguments_it_does_not_know():
+@pytest.mark.parametrize("before", [[], ["--ros-args"]])
+def test_main_refuses_arguments_it_does_not_know(before, capsys):
     with pytest.raises(SystemExit) as caught:
-        main(["--six-axes"])
+        main([*before, "--six-axes"])
     assert caught.value.code == 2
+    last_line = capsys.readouterr().err.splitlines()[-1]
+    assert last_line.startswith("epos2_ros driver: error: ")
+    assert "--six-axes" in last_line

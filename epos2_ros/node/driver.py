@@ -28,7 +28,7 @@ import rclpy
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.srv import ChangeState
-from rclpy._rclpy_pybind11 import RCLError
+from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import MultiThreadedExecutor
@@ -362,6 +362,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         usage.parse_args(remove_ros_args(args))
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    except UnknownROSArgsError as error:
+        usage.error(f"unrecognized ROS arguments: {error}")
     except RCLError as error:
         print(f"epos2_ros driver: {str(error).splitlines()[0]}", file=sys.stderr)
         return 2
