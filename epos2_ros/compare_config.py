@@ -7,7 +7,6 @@ here, what a certain drive can't do where that drive's settings are made.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite
 from typing import Any
@@ -64,7 +63,7 @@ class CompareConfig:
         elif self.kind == "interval":
             self._check_interval()
         elif self.kind in ("crossing", "series"):
-            self.check_positions(self.positions)
+            self._check_positions()
 
     def refuse(self, parameter: str, allowed: str, value: Any = None) -> ConfigurationError:
         """The error for a parameter's value: its name, the value and what is allowed."""
@@ -78,8 +77,8 @@ class CompareConfig:
         state = "is not set" if shown in (None, "") else f"is {shown}"
         return ConfigurationError(f"compare.{self.name}.{parameter} {state}; {allowed}")
 
-    def check_positions(self, positions: Sequence[float]) -> None:
-        """Refuses a list of positions [unit] that this kind can't have."""
+    def _check_positions(self) -> None:
+        positions = self.positions
         if not positions or not all(isfinite(position) for position in positions):
             raise self.refuse("positions", f"a {self.kind} needs positions, all finite")
         if self.kind == "crossing" and len(positions) > 2:
