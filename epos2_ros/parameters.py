@@ -288,17 +288,22 @@ class DriverParameters:
         def value(parameter: str) -> Any:
             return self.values[f"compare.{name}.{parameter}"]
 
+        def given(parameter: str) -> Any:
+            """None where it has the value that stands for "not set"."""
+            own = value(parameter)
+            return None if own == OUTPUT[parameter].default else own
+
         return CompareConfig(
             name=name,
             joint=value("joint"),
             kind=value("kind"),
             pin=value("pin"),
-            method=value("method") or None,
-            window=tuple(value("window")) if all(map(isfinite, value("window"))) else None,
-            positions=tuple(filter(isfinite, value("positions"))),
-            start=_finite(value("start")),
-            interval=value("interval") or None,
-            end=_finite(value("end")),
+            method=given("method"),
+            window=tuple(given("window") or ()) or None,
+            positions=tuple(given("positions") or ()),
+            start=given("start"),
+            interval=given("interval"),
+            end=given("end"),
             direction=value("direction"),
             pulse=value("pulse"),
             toggle=value("toggle"),

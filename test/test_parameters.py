@@ -54,6 +54,15 @@ def make() -> Iterator[Callable[..., Made]]:
     context.shutdown()
 
 
+def camera(kind: str, **parameters: Any) -> dict[str, Any]:
+    """Parameters of an output."""
+    given = {"joint": "joint_1", "kind": kind, **parameters}
+    return {
+        "outputs": ["camera"],
+        **{f"compare.camera.{name}": value for name, value in given.items()},
+    }
+
+
 def refusal(made: Made) -> str:
     with pytest.raises(ConfigurationError) as caught:
         made.parameters.config()
@@ -195,6 +204,17 @@ def test_whole_numbers_do_where_numbers_are_asked_for(make):
         ({"sync.period": 0.0}, ["sync.period", "0.0", "0.005"]),
         ({"ipm.tolerance": 0.1}, ["ipm.tolerance", "0.1", "0.5"]),
         ({"state_rate": 0}, ["state_rate", "0", "0.1"]),
+        # an output's numbers are finite; inf alone is "not set"
+        (
+            camera("series", positions=[0.1, inf, 0.3]),
+            ["compare.camera.positions", "[0.1, inf, 0.3]", "finite"],
+        ),
+        (camera("window", window=[0.1, inf]), ["compare.camera.window", "[0.1, inf]", "finite"]),
+        (camera("window"), ["compare.camera.window", "not set"]),
+        (
+            camera("interval", start=0.0, interval=0.1, end=-inf),
+            ["compare.camera.end", "-inf", "finite"],
+        ),
         # what is not there at all
         ({"ipm.tolerence": 1.0}, ["ipm.tolerence", "1.0", "ipm.tolerance?"]),
         ({"axes.joint_1.gear_ration": 100.0}, ["gear_ration", "100.0", "joint_1.gear_ratio?"]),
