@@ -510,6 +510,14 @@ def test_wrong_usage_is_status_2(arguments, command):
     assert ended.err.startswith("usage: epos2_ros plan")
 
 
+@pytest.mark.parametrize("start", ["nan", "inf", "zero"])
+def test_a_start_that_is_no_number_is_told_as_such(start, command):
+    ended = command("-", "--start", "0.5", start, stdin=message())
+    assert ended.err.splitlines()[-1] == (
+        f"epos2_ros plan: error: argument --start: '{start}': must be a number"
+    )
+
+
 def test_the_start_has_a_position_for_each_joint(command):
     ended = command("-", "--start", "0.5", stdin=message())
     assert (ended.status, ended.err) == (

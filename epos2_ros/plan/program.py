@@ -190,9 +190,12 @@ def _arguments(argv: Sequence[str]) -> argparse.Namespace:
 
 
 def _position(text: str) -> float:
-    value = float(text)
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
     if not math.isfinite(value):
-        raise ValueError(text)
+        raise argparse.ArgumentTypeError(f"{text!r}: must be a number")
     return value
 
 
