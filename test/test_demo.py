@@ -383,6 +383,33 @@ def test_a_file_that_is_no_trajectory_is_one_line(command, tmp_path):
     assert output.count("\n") == 1
 
 
+@pytest.mark.parametrize(
+    ("points", "parameters", "output", "says"),
+    [
+        (1, None, "x.png", "short.yaml has one point"),
+        (2, {"joints": 5}, "x.png", "joints is 5; it must be a list of 1 to 127 names"),
+        (2, {"joints": ["a"], "axes": {"a": {"type": "prismatic"}}}, "x.png", "axes.a.lead is 0"),
+        (2, None, "x.foo", "argument --output: 'x.foo': must end in .png"),
+    ],
+)
+def test_what_the_demo_cannot_run_is_one_line(points, parameters, output, says, command, tmp_path):
+    there = [{"positions": [0.1 * n], "time_from_start": {"sec": n}} for n in range(points)]
+    file = tmp_path / "short.yaml"
+    file.write_text(yaml.safe_dump({"joint_names": ["a"], "points": there}))
+    options = ["short.yaml", "--output", output]
+    if parameters:
+        sections = {"epos2_driver": {"ros__parameters": parameters}}
+        (tmp_path / "bad.yaml").write_text(yaml.safe_dump(sections))
+        options += ["--params", "bad.yaml"]
+    demo = command("demo", *options)
+    said, _ = demo.communicate()
+    assert demo.returncode in (1, 2)
+    assert "Traceback" not in said
+    last_line = said.splitlines()[-1]
+    assert last_line.startswith("epos2_ros demo: ")
+    assert says in last_line
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_demo_leaves_no_process_behind(number, command, examples):
     demo = command("demo", examples / "positions_only.yaml")

@@ -26,6 +26,7 @@ from epos2_ros.demo.witness import DRIVER, Witness
 from epos2_ros.errors import Epos2RosError
 from epos2_ros.files import read_parameters, read_trajectory, share, shipped_parameters
 from epos2_ros.motion.trajectory import Trajectory
+from epos2_ros.parameters import DriverParameters
 
 READY_TIMEOUT_S = 60.0  # for the driver to be active: imports, bring-up, clocks
 MOVE_TIMEOUT_S = 15.0  # for the start, and beyond the trajectory's duration
@@ -54,7 +55,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "or revolute joints of 2000 counts and gear 100)",
     )
     parser.add_argument(
-        "--output", type=Path, metavar="PNG", help="the plot (default: demo_<trajectory>.png)"
+        "--output", type=_png, metavar="PNG", help="the plot (default: demo_<trajectory>.png)"
     )
     parser.add_argument(
         "--two-processes",
@@ -82,6 +83,8 @@ def run(arguments: argparse.Namespace, terminal: Terminal) -> int:
     """The whole demo. Epos2RosError when the motion did not come about."""
     file = arguments.trajectory or share() / "examples" / "pick_place.yaml"
     trajectory = read_trajectory(file)
+    if len(trajectory.times_s) == 1:
+        raise Epos2RosError(f"{file} has one point, and the demo begins there: nothing would move")
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     with tempfile.TemporaryDirectory(prefix="epos2_ros_demo_") as folder:
         scratch = Path(folder)
@@ -122,7 +125,10 @@ def run(arguments: argparse.Namespace, terminal: Terminal) -> int:
         )
     output = arguments.output or Path(f"demo_{file.stem}.png")
     report.print(terminal)
-    report.plot(output, f"{file.stem}: commanded and executed")
+    try:
+        report.plot(output, f"{file.stem}: commanded and executed")
+    except OSError as error:
+        raise Epos2RosError(f"can't write {output}: {error.strerror}") from error
     terminal.line(f"plot: {output}")
     failures = report.failures()
     for failure in failures:
@@ -139,8 +145,10 @@ class Machine:
     """
 
     def __init__(self, params: Path, start: Mapping[str, float], scratch: Path) -> None:
+        given = read_parameters(params)
+        DriverParameters(given).config()  # what the driver would refuse is refused in its words
         self._offsets = {f"axes.{joint}.offset": float(start[joint]) for joint in start}
-        self.parameters = {**read_parameters(params), **self._offsets}
+        self.parameters = {**given, **self._offsets}
         self.scales = scales(self.parameters)
         self.domain_id = ros_domain()
         self.log = scratch / "executed.npz"
@@ -306,3 +314,10 @@ def ros_domain() -> int:
     """A ROS domain that is not the user's: no robot of theirs may hear this trajectory."""
     domain = 1 + os.getpid() % 100
     return domain + 1 if str(domain) == os.environ.get("ROS_DOMAIN_ID") else domain
+
+
+def _png(text: str) -> Path:
+    path = Path(text)
+    if path.suffix != ".png":
+        raise argparse.ArgumentTypeError(f"{text!r}: must end in .png")
+    return path
