@@ -22,6 +22,7 @@ from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.protocol.clock import MasterClock
 from epos2_ros.protocol.frame import Frame
 from epos2_ros.protocol.group import Phase
+from epos2_ros.sim.epos2 import Epos2
 
 SYNC, TPDO3, RPDO2, RPDO3 = 0x080, 0x380, 0x300, 0x400
 JOINTS = [axis.joint for axis in axes()]
@@ -190,6 +191,24 @@ def test_a_start_at_a_given_time_is_on_the_nearest_sync(source):
         late_us = one.drives[0].ip_start_us - at_us
         assert abs(late_us) <= 50_000 + 1_000
         assert one.group.start_error_us == pytest.approx(late_us, abs=200)
+
+
+def test_feeding_goes_by_the_masters_clock():
+    """Which gains 48 ms on the host's in two minutes: more than two records' worth of difference
+    in the buffer would be taken for lost ones."""
+    drifting = [Epos2(n, drift_ppm=400.0, record=True) for n in (1, 2)]
+    one = Bench(DriverConfig(axes=axes(2), sync_source="joint_1", buffer_time=0.1), drifting)
+    one.enable()
+    one.run(2.0)
+    one.path.submit(there_and_back(120.0, reach=2.0, joints=2), None, one.now_us)
+    motion = one.group.motion
+    assert motion is not None
+    one.run(119.0, motion.done)
+    path_ms = one.group.path_ms(one.now_us)
+    assert path_ms == pytest.approx(drifting[0].recorder.path_ms[-1], abs=1.5)
+    assert one.group.start_us is not None
+    assert path_ms - (one.now_us - one.group.start_us) / 1000 == pytest.approx(47, abs=2)
+    one.wait(motion)
 
 
 # ---------------------------------------------------------------------------- trouble

@@ -41,6 +41,10 @@ class Demand:
             self._position.append(float(record.position))
             self._velocity.append(record.velocity * velocity_unit_qc_s)
 
+    def shift(self, by_us: float) -> None:
+        """All of it so much later: the clock that it goes by does not go as the host's."""
+        self._t_us = [t_us + by_us for t_us in self._t_us]
+
     def at(self, t_us: float) -> tuple[float, float]:
         """Position [qc] and velocity [qc/s]."""
         path = self.between(t_us, t_us)

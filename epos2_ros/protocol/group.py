@@ -114,6 +114,7 @@ class Group:
             self._hosts_sync,
         )
         self.start_us: float | None = None  # host time of the start SYNC: path time zero
+        self._start_master_us = 0.0  # the same by the master's clock
         self.reason = ""  # why the last motion was aborted, or what is wrong now
         self.feeder = Feeder(
             self.axes, settings.buffer_time_ms, settings.tolerance_qc, settings.smoothness
@@ -207,7 +208,7 @@ class Group:
                 )
         starts = self.phase is Phase.STARTING and self.start_us is None
         if starts:
-            self.start_us = t_us
+            self.start_us, self._start_master_us = t_us, self.time.clock.master_us(t_us)
         self.time.on_sync(t_us, begins_path=starts)
 
     # ------------------------------------------------------------------ requests
@@ -340,13 +341,18 @@ class Group:
 
     def path_ms(self, now_us: float) -> float | None:
         """Path time at `now_us`; None before the start SYNC."""
-        return None if self.start_us is None else (now_us - self.start_us) / 1000
+        return None if self.start_us is None else (now_us - self.zero_us(now_us)) / 1000
 
     def zero_us(self, now_us: float) -> float:
-        """Host time of path time zero; before the start SYNC, as far as is known."""
-        if self.start_us is not None:
+        """Host time of path time zero; before the start SYNC, as far as is known.
+
+        Path time goes by the master's clock. Where that is a drive's, the zero wanders with it.
+        """
+        if self.start_us is None:
+            return self._planned_start_us or now_us
+        if self.settings.clock_master is None:
             return self.start_us
-        return self._planned_start_us or now_us
+        return now_us - self.time.clock.master_us(now_us) + self._start_master_us
 
     @property
     def start_error_us(self) -> float | None:
@@ -394,7 +400,7 @@ class Group:
             return math.inf
         if self.phase is Phase.MOVING and self.start_us is not None:
             end_ms = self.feeder.committed_ms + END_TIMEOUT_MS
-            return self.start_us + 1000 * min(self.feeder.due_ms, end_ms)
+            return self.zero_us(self._now_us) + 1000 * min(self.feeder.due_ms, end_ms)
         if self.phase is Phase.PRIMING and self.feeder.due_ms <= 0:
             return self._now_us
         if self.phase is Phase.PRIMING and self._arm_due_us() > self._now_us:

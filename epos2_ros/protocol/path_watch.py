@@ -42,6 +42,7 @@ class RecordPathWatch:
         self._records: list[Record] = []  # sent before its start
         self._started = False
         self._demand: Demand | None = None
+        self._zero_us = 0.0  # where it begins
         self._sync_us: float | None = None
         self._age_us = 0.0  # of what the drive says at a SYNC
 
@@ -69,9 +70,13 @@ class RecordPathWatch:
         if not self._started and self._records and self._group.start_us == t_us:
             assert self._axis.demand_qc is not None
             self._started = True
-            self._demand = Demand.resting(self._axis.demand_qc, t_us)
+            self._demand, self._zero_us = Demand.resting(self._axis.demand_qc, t_us), t_us
             for record in self._records:
                 self._demand.add(record, self._axis.fit.velocity_unit_qc_s)
+        elif self._started and self._demand is not None:
+            zero_us = self._group.zero_us(t_us)
+            self._demand.shift(zero_us - self._zero_us)
+            self._zero_us = zero_us
 
     def _on_sample(self) -> Path | None:
         demand_qc = self._axis.demand_qc
