@@ -224,6 +224,8 @@ def test_a_time_that_yaml_leaves_out_is_zero_as_in_a_message() -> None:
         {"joint_names": ["a"], "points": [{"positions": 1.0, "time_from_start": {}}]},
         {"joint_names": ["a"], "points": [{"positions": [None], "time_from_start": {}}]},
         {"joint_names": 3, "points": [{"positions": [0.0], "time_from_start": {}}]},
+        {"joint_names": [["a"]], "points": [{"positions": [0.0], "time_from_start": {}}]},
+        {"joint_names": "a", "points": [{"positions": [0.0], "time_from_start": {}}]},
         {
             "header": 1,
             "joint_names": ["a"],
@@ -236,3 +238,27 @@ def test_what_is_no_trajectory_is_refused_in_one_line(content: Any) -> None:
     with pytest.raises(TrajectoryError) as refusal:
         Trajectory.from_dict(content)
     assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    "time",
+    [
+        {"sec": 1.5},
+        {"sec": float("inf")},
+        {"sec": float("nan")},
+        {"sec": 1e300},
+        {"sec": 2**31},
+        {"nanosec": -1},
+        {"sec": 1, "nanosec": 0.5},
+        {"secs": 1},
+        {"sec": 1, "nsec": 500_000_000},
+        {"sec": "1"},
+    ],
+)
+def test_a_time_that_no_message_can_hold_is_refused(time: dict[str, Any]) -> None:
+    one = {"joint_names": ["a"], "points": [{"positions": [0.0], "time_from_start": time}]}
+    stamped = {"header": {"stamp": time}, "joint_names": [], "points": []}
+    for content in (one, stamped):
+        with pytest.raises(TrajectoryError) as refusal:
+            Trajectory.from_dict(content)
+        assert "\n" not in str(refusal.value)

@@ -20,6 +20,8 @@ from epos2_ros.errors import TrajectoryError
 
 REST_VELOCITY = 1e-6  # a last point slower than this is at rest [unit/s]
 _FIELDS = ("positions", "velocities", "accelerations")
+# What builtin_interfaces/Time and Duration hold: int32 and uint32.
+_TIME_FIELDS = {"sec": (-(2**31), 2**31 - 1), "nanosec": (0, 2**32 - 1)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +48,7 @@ class Trajectory:
         try:
             points = message["points"] or ()
             return cls._from_points(
-                tuple(message.get("joint_names") or ()),
+                _names(message.get("joint_names") or ()),
                 [_duration(point.get("time_from_start") or {}) for point in points],
                 {field: [point.get(field) or () for point in points] for field in _FIELDS},
                 _duration((message.get("header") or {}).get("stamp") or {}),
@@ -178,7 +180,18 @@ def _check_joint_names(names: Sequence[str]) -> None:
 
 
 def _duration(time: Mapping[str, Any]) -> float:
-    return int(time.get("sec", 0)) + int(time.get("nanosec", 0)) * 1e-9
+    """Seconds; a fraction of one belongs into `nanosec` and is not taken for 0."""
+    for field, value in time.items():
+        low, high = _TIME_FIELDS[field]
+        if not (low <= value <= high and value == int(value)):
+            raise ValueError(f"{field} is {value}; it must be a whole number from {low} to {high}")
+    return time.get("sec", 0) + time.get("nanosec", 0) * 1e-9
+
+
+def _names(names: Any) -> tuple[str, ...]:
+    if isinstance(names, str) or not all(isinstance(name, str) for name in names):
+        raise TypeError(f"joint_names is {names}; it must be a list of names")
+    return tuple(names)
 
 
 def _matrix(
