@@ -17,7 +17,7 @@ from .table import Table
 
 TOLERANCE_QC = 1.0
 GRIDS_MS = (10, 20, 50)
-WEIGHTS = (SMOOTHNESS, 0.03, 0.3, 1.0, 10.0)
+WEIGHTS = (SMOOTHNESS, 0.3, 1.0, 10.0)
 NOTES = (
     "executed less commanded acceleration at every millisecond, over all axes, as a share of the "
     "largest commanded one of the axis; smoothness is ipm.smoothness"
