@@ -374,6 +374,18 @@ def test_when_an_axis_cannot_be_enabled_the_node_stays_inactive(world):
     assert world.state == "active"
 
 
+def test_when_an_axis_cannot_be_disabled_the_node_stays_active(world):
+    driver = world.started()
+    driver.failures["disable"] = DriveError("a (node 1) does not answer")
+    assert not world.change(Transition.TRANSITION_DEACTIVATE)
+    world.logged("deactivate failed: a (node 1) does not answer")
+    assert world.state == "active"
+    assert world.enable(True).success
+    driver.failures.clear()
+    assert world.change(Transition.TRANSITION_DEACTIVATE)
+    assert "not active" in world.enable(True).message
+
+
 def test_an_unexpected_error_is_in_the_log_and_leaves_the_node_unconfigured(world):
     def broken(driver: FakeDriver) -> None:
         driver.failures["enable"] = ZeroDivisionError("a bug")

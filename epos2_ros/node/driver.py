@@ -175,8 +175,12 @@ class DriverNode(LifecycleNode):
 
     @_transition
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        self._active = False
-        self._configured().disable()
+        self._active = False  # nothing new begins meanwhile
+        try:
+            self._configured().disable()
+        except Epos2RosError:
+            self._active = True  # the lifecycle goes back to "active", too
+            raise
         self.get_logger().info("inactive: all axes disabled")
         return TransitionCallbackReturn.SUCCESS
 
