@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,9 +57,8 @@ def join(
         )
     curve = _placed(trajectory, axes, state, limits, at_s, start_s)
     check(curve, limits, start_s)
-    if current.rests(at_ms):
-        state = _as_counted(current, state, curve.evaluate(np.array([at_s]))[0])
-    return current.followed_by(cross(curve, state, limits, at_s, _same(current)), at_ms)
+    same = partial(_same, current, state, current.rests(at_ms))
+    return current.followed_by(cross(curve, state, limits, at_s, same), at_ms)
 
 
 def _placed(
@@ -124,7 +124,9 @@ def _stream(
     rest = Curve.resting(target)
     check(rest, limits)
     return (stream and stream.to(target, limits, at_s, due_s)) or Stream.after(
-        cross(rest, state, limits, at_s, _same(current), max(due_s - at_s, 0.0))
+        cross(
+            rest, state, limits, at_s, partial(_same, current, state, False), max(due_s - at_s, 0.0)
+        )
     )
 
 
@@ -142,16 +144,15 @@ def _check_start(
         )
 
 
-def _as_counted(current: Reference, state: State, there: Array) -> State:
-    """Where axes at rest stand; `there` [axes], where that is the same in the drive's counts."""
-    stands, wanted = (
-        np.array([units.to_qc(x) for units, x in zip(current.units, position, strict=True)])
-        for position in (state.position.tolist(), there.tolist())
+def _same(current: Reference, state: State, at_rest: bool, there: State) -> NDArray[np.bool_]:
+    """Which axes are `there` already; where one stands is known in whole counts of its drive."""
+    position, target = (
+        np.array([units.to_qc(x) for units, x in zip(current.units, at, strict=True)])
+        for at in (state.position.tolist(), there.position.tolist())
     )
-    same = np.floor(stands + 0.5) == np.floor(wanted + 0.5)
-    return state._replace(position=np.where(same, there, state.position))
-
-
-def _same(current: Reference) -> tuple[Array, Array]:
+    near = np.abs(position - target) <= _SAME_QC
+    if at_rest:
+        near |= np.floor(position + 0.5) == np.floor(target + 0.5)
     scale = np.array([abs(units.qc_per_unit) for units in current.units])
-    return _SAME_QC / scale, _SAME_QC_S / scale
+    steady: NDArray[np.bool_] = scale * np.abs(state.velocity - there.velocity) <= _SAME_QC_S
+    return near & steady

@@ -11,6 +11,7 @@ Each axis crosses over on its own, by the quicker of two ways:
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -91,17 +92,17 @@ def cross(
     state: State,
     limits: Limits,
     at_s: float,
-    same: tuple[Array, Array],
+    same: Callable[[State], Mask],
     earliest_s: float = 0.0,
 ) -> Motion:
     """From `state` at path time `at_s` onto `target`, not before `earliest_s` after it.
 
-    Differences of position and velocity up to `same` [axes] count as none. Raises
+    Axes that are the `same` as the target's state there [axes] need no crossing. Raises
     TrajectoryError when an axis can't get there before `target` ends, give or take GRACE_S.
     """
     there = State.of(target, at_s)
     gap = State(*(a - b for a, b in zip(state, there, strict=True)))
-    apart = (np.abs(gap.position) > same[0]) | (np.abs(gap.velocity) > same[1])
+    apart = ~same(there)
     if not apart.any():
         return target
     earliest_ms = round(earliest_s * 1000)
