@@ -187,3 +187,16 @@ def test_difference_between_predicted_and_reported() -> None:
     assert difference(predicted, wrong)[0] == (
         "event 2 predicted at count 200 upward, reported at 200 downward"
     )
+
+
+def test_a_fast_crossing_that_is_late_is_told_though_a_slow_one_may_be_later() -> None:
+    """At 316 counts/s two counts take 6 ms, at 89,000 counts/s next to nothing."""
+    t = np.linspace(0.0, 1.0, 1001)
+    predicted = Trigger(Points((1, 40_000))).fires(Path(t * 1e6, 5e4 * t**2, 1e5 * t))
+    slow, fast = predicted.t_us
+    told = difference(predicted, [(1, True, slow + 7000), (40_000, True, fast + 6000)])
+    assert told == (
+        "event 2 at count 40000 came +6000 µs from where predicted",
+        pytest.approx(7000),
+    )
+    assert difference(predicted, [(1, True, slow + 7000), (40_000, True, fast)])[0] == ""

@@ -119,7 +119,7 @@ def difference(
     """
     if len(reported) != len(predicted):
         return f"{len(predicted)} events predicted, {len(reported)} reported", 0.0
-    worst_us, words = 0.0, ""
+    worst_us, beyond_us, words = 0.0, 0.0, ""
     for n, (count, rising, t_us) in enumerate(reported):
         if (count, rising) != (predicted.count[n], predicted.rising[n]):
             return (
@@ -127,11 +127,10 @@ def difference(
                 f", reported at {count} {_way(rising)}"
             ), 0.0
         late_us = float(t_us - zero_us - predicted.t_us[n])
-        if abs(late_us) <= abs(worst_us):
-            continue
-        worst_us = late_us
+        worst_us = max(worst_us, late_us, key=abs)
         slow_us = 2e6 / max(abs(float(predicted.velocity_qc_s[n])), 1.0)
-        if abs(late_us) > LATE_US + slow_us:
+        if abs(late_us) > max(LATE_US + slow_us, abs(beyond_us)):
+            beyond_us = late_us
             words = f"event {n + 1} at count {count} came {late_us:+.0f} µs from where predicted"
     return words, worst_us
 
