@@ -11,7 +11,8 @@ identifier goes first.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -92,10 +93,10 @@ def measure(count: int, state_rate_hz: float, tolerance_qc: float, bitrate: int)
     )
 
 
-def reach(few: Load, many: Load, more: int) -> int:
-    """How many axes before the load passes `FULL`, by the loads of 12 and of `more` axes fewer."""
-    each = (many.total - few.total) / more
-    return int((FULL - many.total) / each) + 12
+def reach(loads: Mapping[int, Load], few: int = 6, many: int = 12) -> int:
+    """How many axes before the load passes `FULL`, by the loads of `few` and of `many` axes."""
+    each = (loads[many].total - loads[few].total) / (many - few)
+    return many + math.floor((FULL - loads[many].total) / each)
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -116,7 +117,7 @@ def main(argv: Sequence[str] | None = None) -> None:
                     f"| {load.sync_late_us:.0f} |",
                     flush=True,
                 )
-            reaches.append((rate_hz, tolerance_qc, reach(loads[6], loads[12], 6)))
+            reaches.append((rate_hz, tolerance_qc, reach(loads)))
     print(f"\n| states [Hz] | tolerance [qc] | axes before {FULL:.0%} |\n|---|---|---|")
     for rate_hz, tolerance_qc, count in reaches:
         print(f"| {rate_hz:g} | {tolerance_qc:g} | {count} |")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from benchmarks import feeding
-from benchmarks.bus_load import measure
+from benchmarks.bus_load import Load, measure, reach
 from epos2_ros.bus.transmitter import MAX_IN_FLIGHT
 from epos2_ros.sim.can_bus import SimulatedBus
 
@@ -38,3 +38,10 @@ def test_32_axes_move_on_one_bus_at_1_mbit_s():
     load = measure(axes, 10.0, 10.0, 1_000_000)
     assert 0.005 * axes < load.total < 0.6
     assert load.sync_late_us < (MAX_IN_FLIGHT + axes + 1) * frame_us
+
+
+@pytest.mark.parametrize(("six", "twelve", "axes"), [(0.15, 0.27, 28), (0.35, 0.65, 11)])
+def test_how_many_axes_fill_a_bus(six: float, twelve: float, axes: int):
+    """Every further axis takes as much as the last; 60 % is full, also with fewer than twelve."""
+    loads = {6: Load(six, 0.0, 0.0, 0.0), 12: Load(twelve, 0.0, 0.0, 0.0)}
+    assert reach(loads) == axes
