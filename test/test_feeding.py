@@ -40,7 +40,7 @@ def test_32_axes_move_on_one_bus_at_1_mbit_s():
     assert load.sync_late_us < (MAX_IN_FLIGHT + axes + 1) * frame_us
 
 
-@pytest.mark.parametrize(("six", "twelve", "axes"), [(0.15, 0.27, 28), (0.35, 0.65, 11)])
+@pytest.mark.parametrize(("six", "twelve", "axes"), [(0.15, 0.27, 28), (0.35, 0.64, 11)])
 def test_how_many_axes_fill_a_bus(six: float, twelve: float, axes: int):
     """Every further axis takes as much as the last; 60 % is full, also with fewer than twelve."""
     loads = {6: Load(six, 0.0, 0.0, 0.0), 12: Load(twelve, 0.0, 0.0, 0.0)}
