@@ -26,7 +26,7 @@ from epos2_ros.node.serialized import read_trajectory
 from epos2_ros.protocol.group import Group, Phase
 from epos2_ros.protocol.path import PathCommander
 
-from .cases import Case, fit, planned
+from .cases import EXAMPLES, Case, example, fit, planned
 from .table import Table
 
 TOLERANCE_QC = 1.0
@@ -48,30 +48,45 @@ Result = TypeVar("Result")
 def tables(most_points: int) -> Iterator[Table]:
     """Growth with points and with axes, and latency."""
     conditions = (
-        f"on one core of {os.cpu_count()}; moves planned by Ruckig, points {1000 * STEP_S:g} ms "
-        f"apart; tolerance {TOLERANCE_QC:g} qc; best of {REPEATS} runs and more"
+        f"on one core of {os.cpu_count()}; tolerance {TOLERANCE_QC:g} qc; best of {REPEATS} runs "
+        "and more"
     )
-    converted = (
-        f"{conditions}, CPU time. Memory: most that was allocated besides the trajectory, in the "
-        f"first {TRACED_S:g} s of it"
+    memory = (
+        "CPU time. Memory: most that was allocated besides the trajectory, in the first "
+        f"{TRACED_S:g} s of it"
     )
+    moves = f"moves planned by Ruckig, points {1000 * STEP_S:g} ms apart"
+    converted = f"{conditions}, {memory}; {moves}"
+    examples = [alone(conversion_of_example, name) for name in EXAMPLES]
+    yield Table("Conversion of the examples", examples, f"{conditions}, {memory}")
     points = [alone(conversion, count, 6) for count in POINTS if count <= most_points]
     yield Table("Conversion of six axes, over points", points, converted)
     axes = [alone(conversion, round(AXES_SECONDS / STEP_S), count) for count in AXES]
     yield Table("Conversion of about a minute, over axes", axes, converted)
     delays = [alone(latency, round(seconds / STEP_S)) for seconds in LATENCY_SECONDS]
-    yield Table("From the message to the first records of six axes [ms]", delays, conditions)
+    yield Table(
+        "From the message to the first records of six axes [ms]", delays, f"{conditions}; {moves}"
+    )
 
 
-def alone(measure: Callable[..., Row], *arguments: int) -> Row:
+def alone(measure: Callable[..., Row], *arguments: int | str) -> Row:
     """One measurement in a fresh process on one core."""
     with ProcessPoolExecutor(1, get_context("spawn"), _on_one_core) as pool:
         return pool.submit(measure, *arguments).result()
 
 
 def conversion(points: int, axes: int) -> Row:
+    """Of moves from rest to rest."""
+    return converting(motion(points, axes))
+
+
+def conversion_of_example(name: str) -> Row:
+    """Of one of the examples."""
+    return {"trajectory": name, **converting(example(name))}
+
+
+def converting(case: Case) -> Row:
     """Join, limits and all records of a trajectory."""
-    case = motion(points, axes)
 
     def convert(until_s: float = math.inf) -> tuple[float, float, int]:
         fresh = Case(case.name, case.trajectory, case.configs)
@@ -84,7 +99,7 @@ def conversion(points: int, axes: int) -> Row:
     whole_s, joined_s, records = best(convert)
     return {
         "points": len(case.trajectory.times_s),
-        "axes": axes,
+        "axes": len(case.configs),
         "motion [s]": case.seconds,
         "join, limits [ms]": 1000 * joined_s,
         "whole [ms]": 1000 * whole_s,
