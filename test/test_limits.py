@@ -123,12 +123,13 @@ def test_nine_digits_at_the_limit_pass(name: str, kind: str) -> None:
 def test_rounding_to_nine_digits_is_forgiven_however_short_the_pieces() -> None:
     """Full acceleration to full speed and back, every millisecond, written with nine digits."""
     t = np.arange(2001) * 1e-3
-    v = np.where(t < 1, 2 * t, 4 - 2 * t)
-    p = np.where(t < 1, t**2, 2 - (2 - t) ** 2)
+    most = 2 / math.sqrt(3)  # so that nine digits are too few to write any of it
+    v = most * np.where(t < 1, t, 2 - t)
+    p = most / 2 * np.where(t < 1, t**2, 2 - (2 - t) ** 2)
     curve = Curve(t, *(np.round(x, 9)[:, None] for x in (p, v)))
-    axes = [AxisConfig("a", 1, gear_ratio=100.0, max_velocity=2.0, max_acceleration=2.0)]
+    axes = [AxisConfig("a", 1, gear_ratio=100.0, max_velocity=most, max_acceleration=most)]
     check(curve, Limits.of(axes))
-    axes = [AxisConfig("a", 1, gear_ratio=100.0, max_velocity=2.0, max_acceleration=1.98)]
+    axes = [AxisConfig("a", 1, gear_ratio=100.0, max_acceleration=0.99 * most)]
     with pytest.raises(TrajectoryError, match="acceleration"):
         check(curve, Limits.of(axes))
 

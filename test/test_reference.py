@@ -272,6 +272,29 @@ def test_a_start_in_the_past_joins_where_the_trajectory_would_be() -> None:
     )
 
 
+def test_who_is_late_need_not_stand_at_the_first_point() -> None:
+    trajectory = example("jerk_limited")
+    axes = axes_of(trajectory.joint_names, max_velocity=3.0, max_acceleration=20.0)
+    there = curve_of(trajectory).evaluate(np.array([0.5]))[0]
+    assert np.abs(there - trajectory.positions[0]).max() > 0.02
+    late = join(
+        rest(axes, there), trajectory, Limits.of(axes),
+        at_ms=0, start_ms=-500, start_tolerance=0.01,
+    )  # fmt: skip
+    np.testing.assert_allclose(late.evaluate(np.zeros(1))[0], there, atol=1e-9)
+
+
+def test_the_time_of_a_violation_is_the_trajectorys_own() -> None:
+    """0.5 rad in 2 s is fastest halfway, 0.375 rad/s; wherever on path time that is."""
+    axes = axes_of(JOINTS, max_velocity=0.3)
+    move = Trajectory(
+        JOINTS, np.array([0.0, 2.0]), np.array([[0.0, 0.0], [0.5, 0.0]]), np.zeros((2, 2))
+    )
+    for at_ms, start_ms in ((0, 0), (3000, 3500), (3000, 2900)):
+        with pytest.raises(TrajectoryError, match=r"'a': velocity 0\.375 rad/s at 1\.000 s"):
+            join(rest(axes, np.zeros(2)), move, Limits.of(axes), at_ms=at_ms, start_ms=start_ms)
+
+
 def test_what_can_not_be_joined_in_time_is_refused() -> None:
     axes = axes_of(JOINTS, max_velocity=0.5, max_acceleration=1.0)
     current = from_rest(
