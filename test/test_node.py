@@ -31,7 +31,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from epos2_ros.bus.snapshot import AxisSnapshot, Snapshot
+from epos2_ros.bus.snapshot import AxisSnapshot, OutputSnapshot, Snapshot
 from epos2_ros.compare_config import CompareConfig
 from epos2_ros.config import ClockLimits, DriverConfig
 from epos2_ros.demo.report import Executed
@@ -41,7 +41,7 @@ from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.node import messages
 from epos2_ros.node.driver import EXECUTOR_THREADS, DriverNode, main
 from epos2_ros.protocol.group import Event
-from epos2_ros.protocol.outputs import OutputEvent
+from epos2_ros.protocol.outputs import OutputEvent, Tally
 
 WAIT_S = 20.0  # for something that must happen; reached only when it does not
 LOG_LINE = re.compile(r"\[(\w+)\] \[[\d.]+\] \[epos2_driver\]: (.*)")
@@ -672,6 +672,27 @@ def test_diagnostics_of_the_bus(values, level):
     bus = messages.diagnostics(snapshot, "epos2_driver", "can0", Time(), ClockLimits()).status[-1]
     assert (bus.level, bus.name) == (level, "epos2_driver: bus")
     assert {v.key: v.value for v in bus.values}["load [%]"] == "12.5"
+
+
+@pytest.mark.parametrize(
+    ("tally", "level", "message"),
+    [
+        (Tally(), DiagnosticStatus.OK, "no motion yet"),
+        (Tally(4, 2, 2, -31.0), DiagnosticStatus.OK, "as predicted"),
+        (
+            Tally(3, 2, 1, 0.0, "2 events predicted, 1 reported"),
+            DiagnosticStatus.WARN,
+            "2 events predicted, 1 reported",
+        ),
+    ],
+)
+def test_diagnostics_of_an_output(tally, level, message):
+    outputs = (OutputSnapshot("camera", "a", 1, tally),)
+    snapshot = snapshot_of(axis_snapshot("a", 1), outputs=outputs)
+    status = messages.diagnostics(snapshot, "node", "can0", Time(), ClockLimits()).status[1]
+    assert (status.name, status.hardware_id) == ("node: compare.camera", "can0/1")
+    assert (status.level, status.message) == (level, message)
+    assert {v.key: v.value for v in status.values}["events"] == str(tally.events)
 
 
 # -- the program -----------------------------------------------------------------------------

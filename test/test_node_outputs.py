@@ -117,6 +117,10 @@ def test_what_the_drive_refuses_is_not_changed(world):
     assert driver.outputs["camera"].interval == 0.1  # it had followed, and is as before
     assert double(world, "compare.camera.interval") == 0.1
     assert double(world, "compare.laser.pulse") == 0.001
+    driver.failures.clear()
+    assert change(world, camera__toggle=True, laser__toggle=True) == ""
+    assert driver.outputs["camera"].interval == 0.1  # nor does it come with a later change
+    assert driver.outputs["laser"].pulse == 0.001
     assert change(world, camera__kind="edge").startswith("compare.camera.kind is 'edge'; it must ")
     assert change(world, camera__kind="window") == (
         "compare.camera.window is not set; a window needs [lower, upper]"
