@@ -37,7 +37,11 @@ class Cubic(NamedTuple):
 
     @classmethod
     def between(
-        cls, p0_qc: ArrayLike, v0_qc_s: ArrayLike, p1_qc: ArrayLike, v1_qc_s: ArrayLike,
+        cls,
+        p0_qc: ArrayLike,
+        v0_qc_s: ArrayLike,
+        p1_qc: ArrayLike,
+        v1_qc_s: ArrayLike,
         duration_s: ArrayLike,
     ) -> Cubic:
         """The segment from (p0, v0) to (p1, v1); arguments broadcast together."""
@@ -92,9 +96,7 @@ def segments(
     position, velocity, time = np.array(rows, dtype=np.int64).T
     speed = velocity * velocity_unit_qc_s
     # Subtracting the start keeps the cubic's arithmetic exact for any int32 position.
-    cubic = Cubic.between(
-        position[:-1] - position[1:], speed[:-1], 0.0, speed[1:], time[1:] * 1e-3
-    )
+    cubic = Cubic.between(position[:-1] - position[1:], speed[:-1], 0.0, speed[1:], time[1:] * 1e-3)
     return cubic._replace(d=position[1:].astype(float)), time[1:]
 
 
@@ -105,7 +107,8 @@ def executed(
     cubic, time = segments(start_qc, records, velocity_unit_qc_s, start_velocity)
     if len(time) == 0:
         return Executed(
-            np.array([float(start_qc)]), np.array([start_velocity * velocity_unit_qc_s]),
+            np.array([float(start_qc)]),
+            np.array([start_velocity * velocity_unit_qc_s]),
             np.zeros(1),
         )
     end = np.cumsum(time)
