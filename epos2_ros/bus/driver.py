@@ -76,6 +76,7 @@ class Driver:
         self._link: Link | None = None
         self._nodes: list[Epos2Node] = []
         self._brought_up = False  # all drives, since the link was opened
+        self._stops = 0  # how often motions were ended on request, those not yet begun included
         settings = group_settings(config)
         self._producer = settings.sync_producer
         self._group = Group([axis_setup(axis) for axis in config.axes], settings)
@@ -126,6 +127,11 @@ class Driver:
                 raise ConfigurationError(
                     f"axes.{axis.joint}.node_id is {HOST_NODE_ID}, which the host's heartbeat "
                     f"has; it must be from 1 to {HOST_NODE_ID - 1}"
+                )
+            if axis.homing is not None:
+                raise ConfigurationError(
+                    f"axes.{axis.joint}.homing is given, but homing is not offered yet; leave it "
+                    "out, and home the drive with its maker's tool"
                 )
         shortest_s = Timekeeper.shortest_period_us(len(self._config.axes)) / 1e6
         if self._producer is not None and self._config.sync_period < shortest_s:
@@ -226,14 +232,14 @@ class Driver:
         start_us = None
         if trajectory.stamp_s:
             start_us = trajectory.stamp_s * 1e6 + wall_offset_us()
-        lead_ms = 0
+        lead_ms, stops = 0, self._stops
         while True:
             begun_us = now_us()
             placement = self._reactor.call(
                 partial(self._path.place, trajectory, start_us, begun_us, lead_ms)
             )
             reference = placement.join()
-            if self._reactor.call(partial(self._commit, placement, reference)):
+            if self._reactor.call(partial(self._commit, placement, reference, stops)):
                 return
             lead_ms = round((now_us() - begun_us) / 500)  # twice as long as it took
 
@@ -269,10 +275,12 @@ class Driver:
 
     def halt(self) -> None:
         """Each axis stops at once on its own ramp, off the path, and holds."""
+        self._stops += 1
         self._wait_for("halt", self._group.halt, self._copley.protocol.halt)
 
     def quick_stop(self) -> None:
         """Each axis stops on its quick stop ramp and leaves "operation enabled"."""
+        self._stops += 1
         stops = self._group.quick_stop, self._copley.protocol.quick_stop
         self._wait_for("quick stop", *stops)
 
@@ -483,7 +491,9 @@ class Driver:
             raise TrajectoryError(f"can't move: the drives are {self._group.describe_phase()}")
         self._copley.move_to(targets, duration_s)
 
-    def _commit(self, placement: Placement, reference: Reference) -> bool:
+    def _commit(self, placement: Placement, reference: Reference, stops: int) -> bool:
+        if stops != self._stops:
+            raise TrajectoryError("the axes were stopped while it was worked out")
         if self._copley.protocol.phase is ProfilePhase.FAULT:
             raise TrajectoryError(f"can't move: {self._copley.protocol.reason}")
         done = self._path.commit(placement, reference)
@@ -491,6 +501,7 @@ class Driver:
         return done
 
     def _stop_path(self) -> Future[None] | None:
+        self._stops += 1
         motion = self._path.stop()
         self._predictor.watch(now_us())
         return motion

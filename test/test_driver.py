@@ -1,0 +1,51 @@
+"""The driver with simulated drives in its own process: what neither group nor node decides."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from threading import Event
+
+import numpy as np
+import pytest
+from simulated_time import axes
+from two_processes import SCAN, rig
+
+from epos2_ros.bus.driver import Driver
+from epos2_ros.config import DriverConfig, HomingConfig
+from epos2_ros.errors import ConfigurationError, TrajectoryError
+from epos2_ros.motion.reference import Reference
+from epos2_ros.motion.trajectory import Trajectory
+from epos2_ros.protocol.path import Placement
+
+
+def test_homing_is_refused_rather_than_left_out() -> None:
+    first, *others = axes()
+    homed = replace(first, homing=HomingConfig(17, (0.02, 0.005), 0.3, 0.01, 2))
+    with pytest.raises(ConfigurationError, match="axes.joint_1.homing is given, .* not offered"):
+        Driver(DriverConfig(axes=(homed, *others))).configure()
+
+
+@pytest.mark.parametrize("stop", ["halt", "quick_stop", "stop_on_path"])
+def test_what_is_worked_out_while_the_axes_are_stopped_does_not_begin(
+    stop: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    at_work, stopped = Event(), Event()
+    join = Placement.join
+
+    def slow_join(placement: Placement) -> Reference:
+        at_work.set()
+        assert stopped.wait(10)
+        return join(placement)
+
+    monkeypatch.setattr(Placement, "join", slow_join)
+    trajectory = Trajectory(SCAN.joint_names, np.array([1.0]), np.array([[0.05, -0.02]]))
+    with rig("virtual", f"driver {stop}", simulate=True) as made, ThreadPoolExecutor(1) as pool:
+        answer = pool.submit(made.driver.submit, trajectory)
+        assert at_work.wait(10)
+        getattr(made.driver, stop)()
+        made.driver.enable()
+        stopped.set()
+        with pytest.raises(TrajectoryError, match="stopped while it was worked out"):
+            answer.result(10)
+        assert made.snapshot().state == "standing"
