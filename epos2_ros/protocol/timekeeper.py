@@ -32,7 +32,8 @@ FOLLOW_UP_US = 40_000.0  # the time stamps wait no longer for a drive's answer, 
 FOLLOW_UP_SHARE = 0.4  # … and no longer than this share of the period
 LEAD_US = 20_000.0  # before a SYNC at a given time: what is to be on the bus before it is sent
 STRAY_ANSWERS = 5  # so many in a row that can't be of the SYNC: the drive's clock has gone astray
-MISSED_SYNCS = 5  # so many periods without the SYNC of a drive: it does not come any more
+MISSED_SYNCS = 5  # so many periods without the SYNC of a drive, …
+SYNC_SILENCE_US = 1_000_000.0  # … and at least so long: it does not come any more
 
 
 class Timekeeper:
@@ -163,7 +164,8 @@ class Timekeeper:
 
     def sync_missing(self, now_us: float) -> bool:
         """Whether the drive that should has sent no SYNC for long."""
-        overdue = now_us > self._last_sync_us + MISSED_SYNCS * self._period_us
+        patience_us = max(MISSED_SYNCS * self._period_us, SYNC_SILENCE_US)
+        overdue = now_us > self._last_sync_us + patience_us
         return not self._produces and self.running and overdue
 
     def sync(self, now_us: float) -> None:
