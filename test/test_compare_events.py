@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from epos2_ros.compare_config import CompareConfig
@@ -141,6 +141,7 @@ def test_a_path_that_is_behind_only_makes_the_times_late(kind: str) -> None:
     seed=st.integers(0, 1000),
     interval=st.integers(20, 500),
 )
+@example(reach=25843.0, hertz=3.783203125, read_ms=4.0, lag_ms=0.0, seed=564, interval=366)
 def test_any_swing(
     reach: float, hertz: float, read_ms: float, lag_ms: float, seed: int, interval: int
 ) -> None:

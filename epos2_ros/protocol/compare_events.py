@@ -249,6 +249,9 @@ class DualTracker(_CellTracker):
     ) -> tuple[list[CompareEvent], list[SdoWrite]]:
         status, value_0, value_1 = values
         matches, told = status & MATCHES, self._cell
+        # What has matched without a flag was cleared with those of the last read, or came after
+        # this one's were read: whichever is nearer.
+        cleared_us = (self._read_us + begin_us) / 2
         fresh = matches & ~self._due | sum(self._unseen)
         moved = bool(fresh) if fresh or not matches else None
         walk = self._walk_to(self._between(value_0, value_1), begin_us, end_us, moved)
@@ -256,9 +259,9 @@ class DualTracker(_CellTracker):
             walk = []  # a turn that only the path has seen
         # The values move two steps at a time, so every other count is always value 0's.
         parity = self._grid.at_or_below(value_0) % 2
-        flags = {0b010 if step.number % 2 == parity else 0b100 for step in walk}
+        last_us = {0b010 if step.number % 2 == parity else 0b100: step.t_us for step in walk}
         for flag, value in ((0b010, value_0), (0b100, value_1)):
-            if flag in flags:
+            if flag in last_us:
                 self._unseen.pop(flag, None)
             elif fresh & flag:
                 number = self._grid.at_or_below(value)
@@ -267,7 +270,7 @@ class DualTracker(_CellTracker):
                 if first.t_us < begin_us - SLACK_US:  # the drive has the last word
                     walk += [first, first._replace(rising=not first.rising)]
                     del self._unseen[flag]
-        self._due = sum(flags) & ~matches
+        self._due = sum(flag for flag, t_us in last_us.items() if t_us > cleared_us) & ~matches
         self._check(value_0, value_1)
         return self._answer(walk, status)
 
