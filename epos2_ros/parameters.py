@@ -177,7 +177,9 @@ AXIS: dict[str, Spec] = {
         0.0, "of halt and quick stop (0x6084, 0x6085) [unit/s²]; 0: the drive's own", 0.0, 1e9
     ),
     "max_following_error": Spec(2000, "[qc], object 0x6065", 1, 2**32 - 1),
-    "homing.method": Spec(0, "object 0x6098; 0: no homing", -128, 127),
+    "homing.method": Spec(
+        0, "object 0x6098; 0: no homing, others are not offered yet and refused", -128, 127
+    ),
     "homing.speeds": Spec(
         [0.0, 0.0], "to the switch and to zero [unit/s]; 0, 0: the drive's own", 0.0, 1e6
     ),
