@@ -7,6 +7,7 @@ Synchronisation", and of CiA 301 for SYNC (0x1005, 0x1006). Drives drift from âˆ
 from __future__ import annotations
 
 import itertools
+import math
 import struct
 
 import numpy as np
@@ -209,6 +210,49 @@ def test_feeding_goes_by_the_masters_clock():
     assert one.group.start_us is not None
     assert path_ms - (one.now_us - one.group.start_us) / 1000 == pytest.approx(47, abs=2)
     one.wait(motion)
+
+
+class LateHost(Bench):
+    """It sleeps for a while after each of the first SYNCs, and takes what it then finds for new."""
+
+    def __init__(self, config: DriverConfig, syncs: int, nap_us: float) -> None:
+        self._naps, self._nap_us = syncs, nap_us
+        self._wakes_us = -math.inf
+        self._unheard: list[tuple[int, bytes, bool]] = []
+        super().__init__(config, drives(len(config.axes), record=True))
+        self.late_us = lambda: max(0.0, self._wakes_us - self.now_us)
+
+    def _on_frame(self, can_id: int, data: bytes, t_us: float, echo: bool) -> bool:
+        if self.now_us >= self._wakes_us:
+            if can_id != SYNC or not self._naps:
+                return super()._on_frame(can_id, data, t_us, echo)
+            self._naps -= 1
+            self._wakes_us = self.now_us + self._nap_us
+        self._unheard.append((can_id, data, echo))
+        return False
+
+    def _step(self) -> None:
+        if self.now_us < self._wakes_us:
+            return
+        unheard, self._unheard = self._unheard, []
+        for can_id, data, echo in unheard:
+            super()._on_frame(can_id, data, self.now_us, echo)
+        super()._step()
+
+
+@pytest.mark.parametrize(("source", "producer"), ALL)
+@pytest.mark.parametrize(("syncs", "nap_us"), [(1, 40e3), (1, 110e3), (2, 110e3), (3, 260e3)])
+def test_a_host_that_notices_the_first_syncs_late_goes_on(source, producer, syncs, nap_us):
+    """As a busy computer with an adapter that stamps nothing does: no drive is to blame."""
+    config = DriverConfig(axes=axes(), sync_source=source, sync_producer=producer)
+    one = LateHost(config, syncs, nap_us)
+    one.enable()
+    run_motion(one, there_and_back())
+    assert_on_path(one)
+    one.run(1.0)
+    assert one.group.phase is Phase.STANDING
+    clocks = [drive.clock.value(one.now_us) for drive in one.drives]
+    assert np.ptp(clocks) <= (10 if source == "host" else DRIFT_US)
 
 
 # ---------------------------------------------------------------------------- trouble

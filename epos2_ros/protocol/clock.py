@@ -29,7 +29,8 @@ OUTLIER = 5.0  # times the median deviation from the line …
 OUTLIER_FLOOR_US = 5.0  # … and never less than this is an outlier
 MAX_DRIFT = 500e-6  # of a quartz against the host's: a steeper line is a mistake
 COARSEST_CLOCK_US = 10.0  # drives count bit times; to this a clock's ticks are smoothed
-MAX_SLEW = 5e-6  # of the master's time towards the line: the drives get it one after another
+SLEW = 1e-6  # of the master's time towards the line: the drives get it one after another, …
+EARLY_SLEW, EARLY = 5e-6, 20  # … and so much while the line is made of fewer SYNCs
 _SECONDS_TO_1984 = 441_763_200  # from 1970-01-01 to 1984-01-01, the epoch of TIME_OF_DAY
 
 
@@ -70,6 +71,15 @@ class MasterClock:
         """The master's time at host time `t_us`, near the last SYNC."""
         rate = 1.0 if self._master is None else 1.0 + float(self.drift[self._master])
         return self._sync_us + rate * (t_us - self._zero_us - self._sync_host_us)
+
+    @property
+    def settled(self) -> bool:
+        """Whether the master's time no longer depends on when the host noticed a single SYNC."""
+        return self._line is not None or not len(self.drift)
+
+    def begin_anew(self) -> None:
+        """No drive's clock fits the host's times of the SYNCs so far: they were wrong."""
+        self.reset(self._zero_us)
 
     def answers(self, drive: int, latched: int, t_us: float) -> bool:
         """Whether a drive's clock can be its answer to the SYNC of host time `t_us`.
@@ -145,7 +155,7 @@ class MasterClock:
 
     def _slew(self, due_us: float) -> float:
         """The master's time, due to be `due_us`, on its way to that of the lines."""
-        most_us = MAX_SLEW * self._period_us
+        most_us = self._period_us * (SLEW if len(self._seen) >= EARLY else EARLY_SLEW)
         return due_us + min(most_us, max(-most_us, self._sync_host_us - due_us))
 
     def _fit(self) -> None:

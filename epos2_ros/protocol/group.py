@@ -33,11 +33,13 @@ from epos2_ros.protocol.feeder import Feeder
 from epos2_ros.protocol.frame import Frame
 from epos2_ros.protocol.timekeeper import LEAD_US, Timekeeper
 
+SETTLING_SYNCS = 10  # as many periods, and REPLY_TIMEOUT_US, has a group to be ready in
 REPLY_TIMEOUT_US = 1_000_000.0  # for one step of a drive that has been told something
 RESEND_US = 200_000.0  # a controlword without effect so long is sent again
 STOP_TIMEOUT_US = 5_000_000.0  # for an axis to come to rest after a halt or quick stop
 ACTIVE_TIMEOUT_US = 200_000.0  # after the start SYNC, for "ip mode active"
 END_TIMEOUT_MS = 500.0  # after the end record, for "ip mode inactive"
+ROUNDING_US = 1.0  # so much later than due, path time has come to it whatever its last digit
 SILENCE_TIMEOUT_US = 1_500_000.0  # a drive not heard so long is lost
 
 
@@ -400,7 +402,8 @@ class Group:
             return math.inf
         if self.phase is Phase.MOVING and self.start_us is not None:
             end_ms = self.feeder.committed_ms + END_TIMEOUT_MS
-            return self.zero_us(self._now_us) + 1000 * min(self.feeder.due_ms, end_ms)
+            due_ms = min(self.feeder.due_ms, end_ms)
+            return self.zero_us(self._now_us) + 1000 * due_ms + ROUNDING_US
         if self.phase is Phase.PRIMING and self.feeder.due_ms <= 0:
             return self._now_us
         if self.phase is Phase.PRIMING and self._arm_due_us() > self._now_us:
@@ -490,19 +493,28 @@ class Group:
         self.clearing.extend(self._uncleared)
 
     def _settle(self) -> None:
-        """Motion can begin once every drive has said, since it stands, where its demand is."""
+        """Motion can begin once every drive has said, since it stands, where its demand is.
+
+        And once the clocks are known: before that a time stamp can be wrong by what the host was
+        late, and would jolt an axis in motion.
+        """
         late = [
             axis
             for axis in self.axes
             if axis.demand_us <= self._phase_us or axis.statusword_us <= self._phase_us
         ]
-        if not late:
+        timeout_us = REPLY_TIMEOUT_US + SETTLING_SYNCS * self.settings.sync_period_us
+        if not late and self.time.clock.settled:
             self._enter(Phase.STANDING)
             self.reason = ""
             self._grant_request()
-        elif self._now_us > self._phase_us + REPLY_TIMEOUT_US + 3 * self.settings.sync_period_us:
+        elif self._now_us > self._phase_us + timeout_us:
             names = ", ".join(str(axis) for axis in late)
-            self._settle_fault(f"no answer to SYNC from {names}")
+            self._settle_fault(
+                f"no answer to SYNC from {names}"
+                if late
+                else "the drives' clocks don't go by the times of SYNC that the host sees"
+            )
 
     # ------------------------------------------------------------------ start
 
@@ -667,7 +679,8 @@ class Group:
             names = ", ".join(str(axis) for axis in late)
             self._settle_fault(f"{self.reason}; not at rest after the halt: {names}")
         elif self._request is None:
-            self._settle_fault("; ".join(dict.fromkeys(filter(None, (self.reason, complaints)))))
+            known = self.reason in complaints
+            self._settle_fault(complaints if known else f"{self.reason}; {complaints}".rstrip("; "))
         elif complaints:
             self._settle_fault(complaints)
         else:

@@ -199,7 +199,10 @@ class Timekeeper:
 
     @property
     def _follow_up_due_us(self) -> float:
-        return self._unstamped_us + min(FOLLOW_UP_US, FOLLOW_UP_SHARE * self._period_us)
+        wait_us = min(FOLLOW_UP_US, FOLLOW_UP_SHARE * self._period_us)
+        if all(value is None for value in self._latched):
+            wait_us *= 2  # there is nobody to correct yet
+        return self._unstamped_us + wait_us
 
     @property
     def _slow_due_us(self) -> float:
@@ -210,7 +213,10 @@ class Timekeeper:
         if self._unstamped_us == math.inf:
             return
         clock = self.clock
-        if self._axes:  # else there is no clock to keep
+        if all(self._strays) and not clock.settled:
+            clock.begin_anew()
+            self._strays = [0] * len(self._axes)
+        elif self._axes:  # else there is no clock to keep
             clock.on_sync(self._unstamped_us, self._latched)
         self._unstamped_us = math.inf
         answered = [drive for drive, value in enumerate(self._latched) if value is not None]
