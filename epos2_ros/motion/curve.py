@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from math import prod
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,13 +58,14 @@ def _powers(h: Array, ends: Ends, derivative: int) -> Array:
     """Coefficients of the powers of u of a piece, or of its derivative by u [powers, …]."""
     (p0, p1), *slopes = ends
     basis = (_QUINTIC_BASES if len(ends) == 3 else _CUBIC_BASES)[derivative]
-    rows = np.empty((basis.shape[1], *np.broadcast_shapes(np.shape(h), np.shape(p0))))
+    shape = np.broadcast_shapes(np.shape(h), np.shape(p0))
+    rows = np.empty((basis.shape[1], *shape))
     rows[0] = p1 - p0
     scale = h
     for at, (start, end) in enumerate(slopes):
         rows[2 * at + 1], rows[2 * at + 2] = scale * start, scale * end
         scale = scale * h
-    powers: Array = np.tensordot(basis, rows, 1)
+    powers: Array = (basis @ rows.reshape(len(rows), prod(shape))).reshape(len(basis), *shape)
     if derivative == 0:
         powers[0] += p0
     return powers
@@ -114,8 +116,8 @@ class Curve:
         if len(self.times_s) == 1:
             value = np.repeat(self.positions, len(t_s), axis=0)
             return value if derivative == 0 else np.zeros_like(value)
-        i: NDArray[np.intp] = np.searchsorted(self.times_s, t_s, side="right") - 1
-        np.clip(i, 0, len(self.times_s) - 2, out=i)
+        i: NDArray[np.intp] = self.times_s.searchsorted(t_s, side="right")
+        i = np.minimum(np.maximum(i, 1), len(self.times_s) - 1) - 1  # faster than clip
         first, last = (int(np.min(i)), int(np.max(i)) + 1) if i.size else (0, 1)
         h, ends = self._pieces(first, last)
         i -= first
@@ -158,7 +160,8 @@ class Curve:
         if self.accelerations is not None:
             given.append(self.accelerations[part])
         rows = (np.ascontiguousarray(values.T) for values in given)
-        return np.diff(self.times_s[part]), tuple((row[:, :-1], row[:, 1:]) for row in rows)
+        times_s = self.times_s[part]
+        return times_s[1:] - times_s[:-1], tuple((row[:, :-1], row[:, 1:]) for row in rows)
 
     def _slopes(self, i: NDArray[np.intp]) -> Array:
         """Velocities at the points i of a curve through positions alone [m, axes].
