@@ -21,7 +21,7 @@ help:
 demo: $(VENV)/.package
 	$(VENV)/bin/python -m epos2_ros demo $(ARGS)
 
-test: $(VENV)/.package $(VENV)/.tools
+test: $(VENV)/.package $(VENV)/.tools $(VENV)/.control_msgs
 	$(VENV)/bin/python -m pytest $(ARGS)
 
 bench: $(VENV)/.package $(VENV)/.bench
@@ -51,6 +51,11 @@ $(VENV)/.tools: setup.py | $(VENV)/.package
 	@echo "installing the test tools into $(VENV)"
 	@$(PIP) install -qq '.[test]'
 	@touch $@
+
+# The action's interfaces, where no ROS installation has them.
+$(VENV)/.control_msgs: | $(VENV)/.package
+	@echo "building control_msgs into $(VENV), once, for the tests of the action"
+	@test/interfaces/build $(VENV) && touch $@ || echo "tests of the action will be skipped"
 
 $(VENV)/.bench: setup.py | $(VENV)/.package
 	@echo "installing what the benchmarks need into $(VENV)"

@@ -7,6 +7,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -21,10 +22,17 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         action="store_true",
         help="let tests marked socketcan fail, not be skipped, where they can't run",
     )
+    parser.addoption(
+        "--require-control-msgs",
+        action="store_true",
+        help="refuse to run without control_msgs, which the tests of the action need",
+    )
     parser.addoption("--record-reports", type=Path, help="(for the guest) write each report here")
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    if config.getoption("--require-control-msgs") and find_spec("control_msgs") is None:
+        raise pytest.UsageError("control_msgs is not installed: see test/interfaces/build")
     record = config.getoption("--record-reports")
     if record:
         config.pluginmanager.register(Recorder(config, record))
