@@ -43,6 +43,8 @@ class AxisConfig:
     stop_deceleration: float | None = None
     max_following_error: int = 2000  # [qc], 0x6065
     homing: HomingConfig | None = None
+    path_tolerance: float = 0.0  # of an action goal [rad or m]; 0: not checked
+    goal_tolerance: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -81,6 +83,7 @@ class DriverConfig:
     tolerance: float = 1.0  # [qc]
     smoothness: float = 0.0  # as of motion.fit.Fitter
     start_tolerance: float = 0.01  # [rad or m]
+    goal_time: float = 1.0  # [s]; 0: no limit
     allow_partial_joints_goal: bool = False
     state_rate: float = 50.0  # [Hz]
     outputs: tuple[CompareConfig, ...] = ()

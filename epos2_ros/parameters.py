@@ -145,6 +145,9 @@ GROUP: dict[str, Spec] = {
     "constraints.start_tolerance": Spec(
         0.01, "how far the first point may lie from where the robot is [rad or m]", 0.0
     ),
+    "constraints.goal_time": Spec(
+        1.0, "action: how long after its end a goal may be reached [s]; 0: no limit", 0.0, 1e6
+    ),
     "allow_partial_joints_goal": Spec(
         False, "accept a trajectory for some of the joints; the others hold"
     ),
@@ -186,6 +189,13 @@ AXIS: dict[str, Spec] = {
     "homing.acceleration": Spec(0.0, "[unit/s²]; 0: the drive's own", 0.0, 1e9),
     "homing.offset": Spec(0.0, "from the home position to zero [unit]", -1e6, 1e6),
     "homing.order": Spec(0, "axes of the lowest order home first", 0, 127),
+}
+
+CONSTRAINTS: dict[str, Spec] = {
+    "trajectory": Spec(
+        0.0, "action: how far the joint may be from its path [rad or m]; 0: not checked", 0.0
+    ),
+    "goal": Spec(0.0, "action: how far it may be from its goal [rad or m]; 0: not checked", 0.0),
 }
 
 OUTPUT: dict[str, Spec] = {
@@ -230,6 +240,8 @@ class DriverParameters:
             for name, spec in AXIS.items():
                 own = replace(spec, default=place) if name == "node_id" else spec
                 self._add(f"axes.{joint}.{name}", own, given)
+            for name, spec in CONSTRAINTS.items():
+                self._add(f"constraints.{joint}.{name}", spec, given)
         named = "names of the position-triggered outputs"
         self._add("outputs", Spec([""], named, read_only=True, any_length=True), given)
         for output in filter(None, self.values["outputs"]):
@@ -274,6 +286,7 @@ class DriverParameters:
             tolerance=values["ipm.tolerance"],
             smoothness=values["ipm.smoothness"],
             start_tolerance=values["constraints.start_tolerance"],
+            goal_time=values["constraints.goal_time"],
             allow_partial_joints_goal=values["allow_partial_joints_goal"],
             state_rate=values["state_rate"],
             outputs=tuple(map(self.output, filter(None, values["outputs"]))),
@@ -374,6 +387,8 @@ class DriverParameters:
             stop_deceleration=value("stop_deceleration") or None,
             max_following_error=value("max_following_error"),
             homing=homing,
+            path_tolerance=self.values[f"constraints.{joint}.trajectory"],
+            goal_tolerance=self.values[f"constraints.{joint}.goal"],
         )
 
     def _check_group(self, axes: tuple[AxisConfig, ...]) -> None:

@@ -93,6 +93,9 @@ def test_every_value_arrives(make):
             "ipm.buffer_time": 0.25,
             "ipm.tolerance": 2.0,
             "constraints.start_tolerance": 0.002,
+            "constraints.goal_time": 0.5,
+            "constraints.x.trajectory": 0.01,
+            "constraints.x.goal": 0.001,
             "allow_partial_joints_goal": True,
             "state_rate": 100.0,
             "axes.x.node_id": 11,
@@ -133,6 +136,8 @@ def test_every_value_arrives(make):
         stop_deceleration=3.0,
         max_following_error=500,
         homing=HomingConfig(17, (0.02, 0.005), 0.3, 0.01, 2),
+        path_tolerance=0.01,
+        goal_tolerance=0.001,
     )
     assert config == DriverConfig(
         axes=(x, AxisConfig(joint="arm", node_id=2)),
@@ -146,6 +151,7 @@ def test_every_value_arrives(make):
         buffer_time=0.25,
         tolerance=2.0,
         start_tolerance=0.002,
+        goal_time=0.5,
         allow_partial_joints_goal=True,
         state_rate=100.0,
     )
