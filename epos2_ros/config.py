@@ -87,4 +87,6 @@ class DriverConfig:
     allow_partial_joints_goal: bool = False
     state_rate: float = 50.0  # [Hz]
     outputs: tuple[CompareConfig, ...] = ()
+    log_file: str | None = None
+    log_size: float = 100.0  # of all its files [MB]
     simulation: SimulationConfig = field(default_factory=SimulationConfig)

@@ -153,6 +153,12 @@ GROUP: dict[str, Spec] = {
     ),
     "state_rate": Spec(50.0, "rate of /joint_states [Hz]", 0.1, 1000.0),
     "status_rate": Spec(10.0, "rate of ~/buffer_status [Hz]", 0.1, 1000.0),
+    "log.file": Spec(
+        "", "log of every frame and of what the driver does, for `replay`; ends in .asc; '': none"
+    ),
+    "log.size": Spec(
+        100.0, "of the log's files together; the oldest are deleted [MB]", 1.0, 1_000_000.0
+    ),
     "simulation.drift_ppm": Spec(
         0.0, "simulated drives: clocks are off by up to this much [ppm]", 0.0, 10_000.0
     ),
@@ -289,6 +295,8 @@ class DriverParameters:
             goal_time=values["constraints.goal_time"],
             allow_partial_joints_goal=values["allow_partial_joints_goal"],
             state_rate=values["state_rate"],
+            log_file=values["log.file"] or None,
+            log_size=values["log.size"],
             outputs=tuple(map(self.output, filter(None, values["outputs"]))),
             simulation=SimulationConfig(
                 drift_ppm=values["simulation.drift_ppm"],

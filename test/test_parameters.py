@@ -98,6 +98,8 @@ def test_every_value_arrives(make):
             "constraints.x.goal": 0.001,
             "allow_partial_joints_goal": True,
             "state_rate": 100.0,
+            "log.file": "/var/log/arm.asc",
+            "log.size": 250,
             "axes.x.node_id": 11,
             "axes.x.type": "prismatic",
             "axes.x.counts_per_turn": 4096,
@@ -154,6 +156,8 @@ def test_every_value_arrives(make):
         goal_time=0.5,
         allow_partial_joints_goal=True,
         state_rate=100.0,
+        log_file="/var/log/arm.asc",
+        log_size=250.0,
     )
 
 

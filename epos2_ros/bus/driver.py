@@ -13,6 +13,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures import TimeoutError as FutureTimeoutError
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import TypeVar
 
 from epos2_ros.bus.copley_axes import CopleyAxes
@@ -27,6 +28,9 @@ from epos2_ros.bus.simulation import Simulation
 from epos2_ros.bus.snapshot import AxisSnapshot, OutputSnapshot, Snapshot
 from epos2_ros.bus.timestamps import now_us, wall_offset_us
 from epos2_ros.bus.worker import Worker
+from epos2_ros.buslog import inputs
+from epos2_ros.buslog.plain import to_plain
+from epos2_ros.buslog.writer import LogWriter
 from epos2_ros.compare_config import CompareConfig
 from epos2_ros.config import DriverConfig
 from epos2_ros.errors import (
@@ -74,6 +78,7 @@ class Driver:
         self._units = [AxisUnits.of(axis) for axis in config.axes]
         self._simulation: Simulation | None = None
         self._link: Link | None = None
+        self._log: LogWriter | None = None
         self._nodes: list[Epos2Node] = []
         self._brought_up = False  # all drives, since the link was opened
         self._stops = 0  # how often motions were ended on request, those not yet begun included
@@ -113,7 +118,8 @@ class Driver:
         """
         try:
             self._configure()
-        except Epos2RosError:
+        except Epos2RosError as error:
+            self._note("configure_failed", str(error))
             self.close()
             raise
 
@@ -139,11 +145,20 @@ class Driver:
                 f"sync.period is {self._config.sync_period:g} s; with SYNC from a drive "
                 f"(sync.producer) {len(self._config.axes)} axes need at least {shortest_s:g} s"
             )
+        if self._config.log_file is not None:
+            self._open_log(Path(self._config.log_file).expanduser())
         if self._config.simulate:
             self._simulation = Simulation(self._config, self._copley.configs)
         self._reactor.start()
         self._open()
         self._bring_up(range(len(self._nodes)), range(len(self._copley.nodes)))
+
+    def _open_log(self, file: Path) -> None:
+        config = replace(self._config, axes=self._all_axes)
+        size_bytes = round(config.log_size * 1e6)
+        preamble = (("configuration", to_plain(config)),)
+        self._log = LogWriter(file, size_bytes, now_us(), wall_offset_us, self._warn, preamble)
+        inputs.record(self._group, self._path, self._log, now_us)
 
     def _open(self) -> None:
         config = self._config
@@ -156,6 +171,7 @@ class Driver:
             self._group.fail,
             self._on_failure,
             self._reactor.post,
+            self._on_other,
         )
         self._nodes = [
             Epos2Node(self._link.network, drive_settings(axis, config)) for axis in config.axes
@@ -203,6 +219,8 @@ class Driver:
                 self._warn(str(error))
         self._worker.close()
         self._reactor.stop()
+        if self._log is not None:
+            self._log.close()
         self._predictor.close()
         self._announcer.shutdown()
         if self._link is not None:
@@ -238,7 +256,11 @@ class Driver:
             placement = self._reactor.call(
                 partial(self._path.place, trajectory, start_us, begun_us, lead_ms)
             )
-            reference = placement.join()
+            try:
+                reference = placement.join()
+            except TrajectoryError as error:
+                self._note("refused", str(error))
+                raise
             if self._reactor.call(partial(self._commit, placement, reference, stops)):
                 return
             lead_ms = round((now_us() - begun_us) / 500)  # twice as long as it took
@@ -484,7 +506,20 @@ class Driver:
         self._announce(self._on_event, Event("warning", text))
 
     def _announce(self, tell: Callable[[T], None], event: T) -> None:
+        if isinstance(event, Event):
+            self._note(event.kind, event.text)
+        elif isinstance(event, OutputEvent):
+            self._note("output", event._asdict())
         self._announcer.submit(tell, event)
+
+    def _note(self, name: str, data: object) -> None:
+        """Into the log, if there is one."""
+        if self._log is not None:
+            self._log.event(now_us(), name, data)
+
+    def _on_other(self, kind: str, can_id: int, data: bytes, t_us: float) -> None:
+        if self._log is not None:
+            self._log.other(t_us, kind, can_id, data)
 
     def _move_to(self, targets: Mapping[str, float], duration_s: float) -> None:
         if self._group.phase is Phase.FAULT:  # one axis in trouble stops all

@@ -33,6 +33,7 @@ ENTER_PRE_OPERATIONAL = Frame(0x000, b"\x80\x00")  # NMT, all nodes
 _QUEUE_FULL = {errno.ENOBUFS, errno.EAGAIN}
 
 OnFrame = Callable[[Frame, float, bool], None]
+OnOther = Callable[[str, int, bytes, float], None]
 
 
 class Network(canopen.Network):
@@ -50,9 +51,11 @@ class Link:
     """An open CAN interface.
 
     `on_frame(frame, t_us, echo)` is called for every frame on the bus, our own included
-    (`echo`); `on_disturbance(text)` when the bus gets bad; `on_failure(text)`, once, when nothing
-    gets through any more: then open a new link. All by `post`, which runs a job in the thread
-    that owns this object, as everything but `network` has to be.
+    (`echo`); `on_other(kind, can_id, data, t_us)` for what is none of CANopen's data frames
+    ("error", "remote" or "extended"); `on_disturbance(text)` when the bus gets bad;
+    `on_failure(text)`, once, when nothing gets through any more: then open a new link. All by
+    `post`, which runs a job in the thread that owns this object, as everything but `network` has
+    to be.
     """
 
     def __init__(
@@ -64,6 +67,7 @@ class Link:
         on_disturbance: Callable[[str], None],
         on_failure: Callable[[str], None],
         post: Callable[[Callable[[], None]], None],
+        on_other: OnOther = lambda kind, can_id, data, t_us: None,
     ) -> None:
         self.name = f"{interface}:{channel}"
         self.clock = ReceiveClock()
@@ -74,6 +78,7 @@ class Link:
         self._on_frame = on_frame
         self._on_disturbance = on_disturbance
         self._on_failure = on_failure
+        self._on_other = on_other
         self._bitrate = bitrate
         self._echo_seen = threading.Event()
         self._heard_us = now_us()  # up to when the bus was listened to
@@ -170,13 +175,17 @@ class Link:
                 self._post(partial(self._nothing_until, began_us))
 
     def _on_message(self, message: can.Message) -> None:
+        frame = Frame(message.arbitration_id, bytes(message.data))
+        t_us = self.clock.host_us(message.timestamp)
         if message.is_error_frame:
-            self._post(partial(self._take_error, message.arbitration_id, bytes(message.data)))
-        elif not (message.is_remote_frame or message.is_extended_id):
-            frame = Frame(message.arbitration_id, bytes(message.data))
+            self._post(partial(self._on_other, "error", *frame, t_us))
+            self._post(partial(self._take_error, *frame))
+        elif message.is_remote_frame or message.is_extended_id:
+            kind = "remote" if message.is_remote_frame else "extended"
+            self._post(partial(self._on_other, kind, *frame, t_us))
+        else:
             if frame == ENTER_PRE_OPERATIONAL:  # ours: there is one NMT master
                 self._echo_seen.set()
-            t_us = self.clock.host_us(message.timestamp)
             self._post(partial(self._take_in, frame, t_us))
 
     def _nothing_until(self, t_us: float) -> None:

@@ -13,10 +13,18 @@ from typing import NoReturn
 import can
 
 from epos2_ros.arguments import without_ros_arguments
+from epos2_ros.buslog.writer import LogWriter
 from epos2_ros.errors import ConfigurationError, Epos2RosError
 from epos2_ros.receive_buffer import deepen
 
-from .realtime import RealtimeSimulator, build_copley_drives, build_drives, save_log
+from .realtime import (
+    RealtimeSimulator,
+    build_copley_drives,
+    build_drives,
+    now_us,
+    save_log,
+    wall_offset_us,
+)
 from .slcan import SlcanAdapter
 
 BITRATES = (10_000, 20_000, 50_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)  # CiA 301
@@ -85,6 +93,19 @@ def _arguments(argv: list[str]) -> argparse.Namespace:
     parser.add_argument(
         "--log", type=Path, metavar="FILE.npz", help="write what was executed here at the end"
     )
+    parser.add_argument(
+        "--bus-log",
+        type=Path,
+        metavar="FILE.asc",
+        help="log every frame, as the driver's log.file; `replay` and python-can read it",
+    )
+    parser.add_argument(
+        "--bus-log-size",
+        type=_positive,
+        default=100,
+        metavar="MB",
+        help="of the log's files together; the oldest are deleted",
+    )
     arguments = parser.parse_args(without_ros_arguments(argv))
     if not arguments.slcan and arguments.channel is None:
         parser.error("--channel is needed (or --slcan)")
@@ -116,6 +137,20 @@ def _open_bus(arguments: argparse.Namespace) -> can.BusABC:
         ) from error
 
 
+def _open_log(arguments: argparse.Namespace) -> LogWriter | None:
+    """Raises `ConfigurationError`."""
+    if arguments.bus_log is None:
+        return None
+
+    def complain(text: str) -> None:
+        print(f"simulator: {text}", file=sys.stderr)
+
+    size_bytes = arguments.bus_log_size * 1_000_000
+    return LogWriter(
+        arguments.bus_log, size_bytes, now_us(), wall_offset_us, complain, name="--bus-log"
+    )
+
+
 def _described(arguments: argparse.Namespace) -> str:
     families = {"EPOS2": arguments.nodes, "Copley": arguments.copley}
     return " and ".join(
@@ -129,6 +164,7 @@ def main(argv: list[str] | None = None) -> int:
     """Runs until SIGINT or SIGTERM. Returns 0, or 2 after one line about wrong arguments."""
     try:
         arguments = _arguments(sys.argv[1:] if argv is None else argv)
+        log = _open_log(arguments)
         bus = _open_bus(arguments)
     except Epos2RosError as error:
         print(f"simulator: {' '.join(str(error).split())}", file=sys.stderr)
@@ -145,7 +181,8 @@ def main(argv: list[str] | None = None) -> int:
         record=arguments.log is not None,
     )
     copley = build_copley_drives(arguments.copley, drift_ppm=arguments.drift_ppm)
-    simulator = RealtimeSimulator(bus, [*drives, *copley])
+    observed = {} if log is None else {"on_frame": log.frame}
+    simulator = RealtimeSimulator(bus, [*drives, *copley], **observed)
     simulator.start()
     where = f"{arguments.interface} {arguments.channel}"
     if isinstance(bus, SlcanAdapter):
@@ -154,6 +191,8 @@ def main(argv: list[str] | None = None) -> int:
     stop.wait()
     simulator.stop()
     bus.shutdown()
+    if log is not None:
+        log.close()
     if arguments.log is not None:
         save_log(arguments.log, drives)
     return 0

@@ -12,7 +12,7 @@ import random
 import threading
 import time
 from collections import deque
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
 import can
@@ -105,14 +105,24 @@ def save_log(path: str | Path, drives: Sequence[Epos2]) -> None:
     save(path, [(drive.node_id, drive.recorder) for drive in drives if drive.recorder])
 
 
+OnFrame = Callable[[float, int, bytes, bool], None]
+
+
 class RealtimeSimulator:
     """Runs drives on `bus` from `start` to `stop`; the bus stays the caller's.
 
-    Whoever touches a drive meanwhile (to let it fail, say) holds `lock`.
+    `on_frame(t_us, can_id, data, sent)` is called for every data frame, `sent` by a drive or
+    received. Whoever touches a drive meanwhile (to let it fail, say) holds `lock`.
     `error` tells why the bus is not usable at the moment, if so.
     """
 
-    def __init__(self, bus: can.BusABC, drives: Sequence[Slave]) -> None:
+    def __init__(
+        self,
+        bus: can.BusABC,
+        drives: Sequence[Slave],
+        on_frame: OnFrame = lambda t_us, can_id, data, sent: None,
+    ) -> None:
+        self._on_frame = on_frame
         self.lock = threading.Lock()
         self.error: str | None = None
         self._bus = bus
@@ -166,6 +176,8 @@ class RealtimeSimulator:
             return False
         if not (message.is_extended_id or message.is_error_frame or message.is_fd):
             t_us = self._time_of(message)
+            if not message.is_remote_frame:
+                self._on_frame(t_us, message.arbitration_id, bytes(message.data), False)
             with self.lock:
                 for drive in self._drives:
                     drive.receive(
@@ -195,6 +207,7 @@ class RealtimeSimulator:
                 return False  # kept, and tried again: a full transmit queue, a bus that is down
             self._queue.popleft()
             now = now_us()
+            self._on_frame(now, can_id, data, True)
             sender.transmitted(can_id, now)
             for drive in self._drives:  # a bus doesn't give us back what we send ourselves
                 if drive is not sender:

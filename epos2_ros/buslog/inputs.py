@@ -1,0 +1,228 @@
+"""All that reaches the protocol layer from outside, into a log and out of it again.
+
+`Group` and `PathCommander` do no I/O and read no clock, so the frames they were given, the
+requests, and the times at which they were called make them do the same again. Here is the one
+table of those calls: `record` notes them while the driver runs, `repeat` makes them again.
+
+Of the calls of `advance`, those are noted that did something. Frames are the log's own lines.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from typing import Any
+
+import numpy as np
+
+from epos2_ros.buslog.writer import LogWriter
+from epos2_ros.errors import TrajectoryError
+from epos2_ros.motion.reference import Reference
+from epos2_ros.motion.trajectory import Trajectory
+from epos2_ros.protocol.group import Group
+from epos2_ros.protocol.path import PathCommander, Placement
+
+REQUESTS = ("enable", "disable", "halt", "quick_stop", "reset_fault")
+REPORTS = ("start_clock", "reconfigured", "fail", "bus_failed", "buffer_cleared")
+POINTS_PER_LINE = 50  # so few that making a line keeps no other thread waiting
+PLACEMENTS_KEPT = 16  # between being worked out and being committed
+
+Note = Callable[[tuple[Any, ...], Any], None]  # the arguments of a call, and what it returned
+
+
+def record(group: Group, path: PathCommander, log: LogWriter, now_us: Callable[[], float]) -> None:
+    """From now on what is asked of `group` and `path` goes into `log`."""
+    _Recorder(group, path, log, now_us)
+
+
+class _Recorder:
+    """Stands between whoever calls and the methods of two objects."""
+
+    def __init__(
+        self, group: Group, path: PathCommander, log: LogWriter, now_us: Callable[[], float]
+    ) -> None:
+        self._group = group
+        self._log = log
+        self._now_us = now_us
+        self._inside = False  # a call of ours is running: what it calls is its own doing
+        self._phase = group.phase
+        self._sending = 0  # frames that waited to be sent before the call
+        self._trajectories = 0
+        self._last: Trajectory | None = None
+        self._placed = 0
+        self._placements: OrderedDict[int, Placement] = OrderedDict()
+        for name in REQUESTS + REPORTS:
+            self._watch(group, name, self._noting(name))
+        self._watch(group, "receive", self._note_frame)
+        self._watch(group, "advance", self._note_advance)
+        self._watch(path, "advance", lambda arguments, result: None)
+        self._watch(path, "place", self._note_placement)
+        self._watch(path, "commit", self._note_commit)
+        self._watch(path, "stop", self._noting("stop"))
+
+    def _watch(self, target: object, name: str, note: Note) -> None:
+        method = getattr(target, name)
+
+        def call(*arguments: Any, **named: Any) -> Any:
+            if self._inside:
+                return method(*arguments, **named)
+            self._inside, self._sending = True, len(self._group.outbox)
+            result: Any = None
+            try:
+                result = method(*arguments, **named)
+            except TrajectoryError as error:
+                result = error
+                raise
+            finally:
+                self._inside = False
+                note((*arguments, *named.values()), result)
+                self._phase = self._group.phase
+            return result
+
+        setattr(target, name, call)
+
+    def _noting(self, name: str) -> Note:
+        def note(arguments: tuple[Any, ...], result: Any) -> None:
+            written = [a.hex() if isinstance(a, bytes) else a for a in arguments]
+            self._log.event(self._now_us(), name, written or None)
+            if isinstance(result, Future) and name in REQUESTS:
+                result.add_done_callback(lambda answer: self._note_answer(name, answer))
+
+        return note
+
+    def _note_answer(self, name: str, answer: Future[None]) -> None:
+        error = None if answer.cancelled() else answer.exception()
+        self._log.event(self._now_us(), "answer", [name, "" if error is None else str(error)])
+
+    def _note_frame(self, arguments: tuple[Any, ...], result: Any) -> None:
+        frame, t_us, echo = (*arguments, False)[:3]
+        self._log.frame(t_us, frame.can_id, frame.data, echo)
+
+    def _note_advance(self, arguments: tuple[Any, ...], result: Any) -> None:
+        group = self._group
+        if len(group.outbox) > self._sending or group.clearing or group.phase is not self._phase:
+            self._log.event(arguments[0], "advance", group.phase.value)
+
+    def _note_placement(self, arguments: tuple[Any, ...], result: Any) -> None:
+        trajectory, stamp_us, now_us, lead_ms = (*arguments, 0)[:4]
+        if trajectory is not self._last:
+            self._last = trajectory
+            self._trajectories += 1
+            for piece in _pieces(trajectory):
+                self._log.event(now_us, "points", piece)
+        self._placed += 1
+        if isinstance(result, Placement):
+            self._placements[self._placed] = result
+            if len(self._placements) > PLACEMENTS_KEPT:
+                self._placements.popitem(last=False)
+        refusal = str(result) if isinstance(result, TrajectoryError) else ""
+        self._log.event(now_us, "place", [self._placed, stamp_us, now_us, lead_ms, refusal])
+
+    def _note_commit(self, arguments: tuple[Any, ...], result: Any) -> None:
+        placement = arguments[0]
+        number = next(n for n, placed in self._placements.items() if placed is placement)
+        del self._placements[number]
+        done = result if isinstance(result, bool) else str(result)
+        self._log.event(self._now_us(), "commit", [number, done])
+
+
+def _pieces(trajectory: Trajectory) -> Iterator[Callable[[], dict[str, Any]]]:
+    """A trajectory as data of several events, each made when it is written."""
+
+    def piece(begin: int) -> dict[str, Any]:
+        part = slice(begin, begin + POINTS_PER_LINE)
+        fields = ("positions", "velocities", "accelerations")
+        arrays = {name: getattr(trajectory, name) for name in fields}
+        return {
+            "joint_names": trajectory.joint_names,
+            "stamp_s": trajectory.stamp_s,
+            "from": begin,
+            "of": len(trajectory.times_s),
+            "times_s": trajectory.times_s[part].tolist(),
+            **{name: a[part].tolist() for name, a in arrays.items() if a is not None},
+        }
+
+    for begin in range(0, max(1, len(trajectory.times_s)), POINTS_PER_LINE):
+        yield lambda begin=begin: piece(begin)  # type: ignore[misc]
+
+
+class Repeater:
+    """Calls the methods of `group` and `path` as a log says. Times are host µs."""
+
+    def __init__(self, group: Group, path: PathCommander) -> None:
+        self.trajectory: Trajectory | None = None  # the last one that was placed
+        self._group = group
+        self._path = path
+        self._pieces: list[dict[str, Any]] = []
+        self._placements: dict[int, tuple[Placement, Reference]] = {}
+
+    def event(self, t_us: float, name: str, data: Any) -> str:
+        """Repeats one; in words, what came of it otherwise than it did, or "".
+
+        ValueError, TypeError, KeyError or IndexError for data that no driver has written.
+        """
+        group = self._group
+        if name == "advance":
+            self._path.advance(t_us)
+            group.advance(t_us)
+        elif name == "start_clock":
+            group.start_clock(data[0], bytes.fromhex(data[1]))
+        elif name in REQUESTS + REPORTS:
+            getattr(group, name)(*(data or ()))
+        elif name == "points":
+            self._gather(data)
+        elif name == "place":
+            return self._place(*data)
+        elif name == "commit":
+            return self._commit(*data)
+        elif name == "stop":
+            self._path.stop()
+        return ""
+
+    def _gather(self, piece: dict[str, Any]) -> None:
+        if not piece["from"]:
+            self._pieces = []
+        self._pieces.append(piece)
+        if piece["from"] + len(piece["times_s"]) < piece["of"]:
+            return
+        whole = {
+            name: [row for part in self._pieces for row in part[name]]
+            for name in ("times_s", "positions", "velocities", "accelerations")
+            if name in piece
+        }
+        arrays = {name: np.array(rows, dtype=np.float64) for name, rows in whole.items()}
+        self.trajectory = Trajectory(
+            joint_names=tuple(piece["joint_names"]), stamp_s=piece["stamp_s"], **arrays
+        )
+        self._pieces = []
+
+    def _place(
+        self, number: int, stamp_us: float | None, now_us: float, lead_ms: int, refusal: str
+    ) -> str:
+        if self.trajectory is None:
+            raise ValueError("the trajectory is not in the log")
+        try:
+            placement = self._path.place(self.trajectory, stamp_us, now_us, lead_ms)
+            self._placements[number] = placement, placement.join()
+        except TrajectoryError as error:
+            return "" if refusal == str(error) else f"the trajectory would be refused: {error}"
+        return f"the trajectory was refused: {refusal}" if refusal else ""
+
+    def _commit(self, number: int, done: bool | str) -> str:
+        if number not in self._placements:
+            return ""  # said when it was placed
+        try:
+            would: bool | str = self._path.commit(*self._placements.pop(number))
+        except TrajectoryError as error:
+            would = str(error)
+        if would == done:
+            return ""
+        return f"the trajectory {_outcome(done)}; now it {_outcome(would)}"
+
+
+def _outcome(done: bool | str) -> str:
+    """Of committing a trajectory, in words."""
+    if isinstance(done, str):
+        return f"was refused ({done})"
+    return "was taken" if done else "came too late, to be placed anew"
