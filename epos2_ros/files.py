@@ -9,12 +9,11 @@ from typing import Any
 
 import yaml
 
-from epos2_ros.errors import ConfigurationError, Epos2RosError
+from epos2_ros.errors import Epos2RosError
 from epos2_ros.motion.trajectory import Trajectory
+from epos2_ros.parameter_file import ParameterFile
 
-# Sections of a ROS parameter file that reach /epos2_driver.
-DRIVER_SECTIONS = ("epos2_driver", "/epos2_driver", "/**/epos2_driver", "/**", "**", "/*", "*")
-
+DRIVER = "epos2_driver"  # the node's name, if it is not remapped
 
 # The C parser where PyYAML has it (libyaml); the other does the same, slower.
 _SafeLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
@@ -85,34 +84,14 @@ def _trajectory(message: Any, source: str) -> Trajectory:
     return Trajectory.from_dict(message)
 
 
-def read_parameters(file: Path) -> dict[str, Any]:
-    """The parameters of the driver node in a ROS parameter file, with dotted names."""
-    try:
-        nodes = yaml.load(file.read_text(encoding="utf-8"), _Loader)
-    except OSError as error:
-        raise ConfigurationError(f"can't read {file}: {error.strerror}") from error
-    except (ValueError, yaml.YAMLError) as error:
-        raise ConfigurationError(f"can't read {file}: {_one_line(error)}") from error
-    if not isinstance(nodes, Mapping):
-        raise ConfigurationError(f"{file} is not a ROS parameter file")
-    flat: dict[str, Any] = {}
-    sections = [name for name in nodes if name in DRIVER_SECTIONS]
-    for name in sections:
-        section = nodes[name].get("ros__parameters") if isinstance(nodes[name], Mapping) else None
-        if not isinstance(section, Mapping):
-            raise ConfigurationError(f"{file}: {name} has no ros__parameters")
-        _flatten(section, "", flat)
-    if not sections:
-        raise ConfigurationError(f"{file} has no parameters of /epos2_driver")
-    return flat
+def read_parameters(file: Path, node: str | None = None) -> dict[str, Any]:
+    """The parameters in a ROS parameter file that reach a node, with dotted names.
 
-
-def _flatten(section: Mapping[str, Any], prefix: str, into: dict[str, Any]) -> None:
-    for name, value in section.items():
-        if isinstance(value, Mapping):
-            _flatten(value, f"{prefix}{name}.", into)
-        else:
-            into[f"{prefix}{name}"] = value
+    Without the node's full name, those of the driver that it is for. ConfigurationError in one
+    line where the file can't be read, or nothing in it is for the node.
+    """
+    parameters = ParameterFile.read(file)
+    return parameters.of(node or parameters.node(DRIVER))
 
 
 def share() -> Path:

@@ -28,6 +28,7 @@ from epos2_ros.config import (
 )
 from epos2_ros.errors import ConfigurationError
 
+ROS_OWN = ("use_sim_time", "start_type_description_service")  # declared by rclpy itself
 MAX_AXES = 127  # CANopen node ids are 1 … 127
 # CiA 301, bit rates of the physical layer.
 BIT_RATES = (10_000, 20_000, 50_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
@@ -114,7 +115,16 @@ class Spec:
 
     def complaint(self, name: str, value: Any) -> str:
         """The line for a value that is not allowed."""
-        return f"{name} is {_written(value)}; it must be {self.allowed}"
+        line = f"{name} is {_written(value)}; it must be {self.allowed}"
+        values = value if isinstance(value, (list, tuple)) else [value]
+        if any(isinstance(v, bool) for v in values) and isinstance(self._element, str):
+            return f"{line}; a bare y, n, on or off is a boolean, put it in quotes"
+        return line
+
+    @property
+    def _element(self) -> Any:
+        """What a value is like, or each of a list."""
+        return self.default[0] if isinstance(self.default, list) else self.default
 
 
 GROUP: dict[str, Spec] = {
@@ -254,7 +264,7 @@ class DriverParameters:
             for name, spec in OUTPUT.items():
                 self._add(f"compare.{output}.{name}", spec, given)
         for name in given:
-            if name not in self.specs:
+            if name not in self.specs and name not in ROS_OWN:
                 self.complaints[name] = self._unknown(name, given[name])
 
     def set(self, name: str, value: Any) -> None:

@@ -37,6 +37,7 @@ from epos2_ros.config import ClockLimits, DriverConfig
 from epos2_ros.demo.report import Executed
 from epos2_ros.demo.witness import Witness
 from epos2_ros.errors import BusError, DriveError, TrajectoryError
+from epos2_ros.files import read_parameters
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.node import messages
 from epos2_ros.node.driver import EXECUTOR_THREADS, DriverNode, main
@@ -790,6 +791,47 @@ def test_arguments_ros_cannot_read_are_one_line_and_a_status(program):
     driver.read_until("epos2_ros driver: ")
     assert driver.end(0) == 2
     assert "Traceback" not in driver.output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--params-file", "/nonexistent.yaml"], "can't read /nonexistent.yaml: No such file"),
+        (["--params-file", "FILE", "-r", "__ns:=/robot1"], "is for /robot1/epos2_driver: it has "),
+        (["--params-file", "FILE", "-r", "__node:=arm"], "is for /arm: it has parameters of /epos"),
+        (["-p", "epos2_driver:simulate:=true", "-r", "__node:=arm"], "is for /arm: it has "),
+    ],
+)
+def test_parameters_that_reach_no_node_end_the_start(program, tmp_path, arguments, says):
+    """Else the driver would move simulated drives for somebody who believes to move real ones."""
+    file = tmp_path / "real.yaml"
+    file.write_text("/epos2_driver: {ros__parameters: {can: {interface: socketcan}}}\n")
+    driver = program("--ros-args", *(str(file) if a == "FILE" else a for a in arguments))
+    driver.read_until(says)
+    assert driver.end(0) == 2
+    assert driver.output.count("\n") == 1
+
+
+@pytest.mark.parametrize("renamed", ["__ns:=/robot1", "__node:=arm"])
+@pytest.mark.parametrize("file", sorted((Path(__file__).parents[1] / "config").glob("*.yaml")))
+def test_shipped_parameters_reach_a_driver_of_any_name(file, renamed):
+    node = "/robot1/epos2_driver" if "ns" in renamed else "/arm"
+    assert read_parameters(file, node) == read_parameters(file)
+
+
+def test_simulated_drives_are_a_warning_and_a_key_in_diagnostics(world):
+    world.started(simulate=True)
+    simulated = [level for level, line in world.log if "simulated drives" in line]
+    assert simulated == ["WARN"]
+    for simulated, says in ((True, "simulated"), (False, "real")):
+        snapshot = snapshot_of(axis_snapshot("a", 1), simulated=simulated)
+        array = messages.diagnostics(snapshot, "node", "can0", Time(), ClockLimits())
+        assert {v.key: v.value for v in array.status[-1].values}["drives"] == says
+
+
+def test_real_drives_are_no_warning(world):
+    world.started(simulate=False)
+    assert not [line for level, line in world.log if level != "INFO" or "simulated" in line]
 
 
 @pytest.mark.parametrize("before", [[], ["--ros-args"]])

@@ -160,7 +160,7 @@ def test_largest_velocity_and_acceleration_are_those_of_the_polynomial(command, 
     """One cubic over 200 ms and exactly on the grid: it needs no rounding to be followed."""
     params = parameters(
         tmp_path,
-        axes={"a": {"counts_per_turn": 60_000, "gear_ratio": 2 * math.pi}, "b": {}},
+        axes={"a": {"counts_per_turn": 60_000, "gear_ratio": 2 * math.pi}},
         ipm={"buffer_time": 1.0},
     )
     points = [  # 60,000 qc per rad, 1,000 qc/s per rpm
@@ -490,7 +490,8 @@ def test_a_parameter_file_of_another_node_is_refused(command, tmp_path):
     ended = command("-", "--params", file, stdin=message())
     assert (ended.status, ended.err) == (
         1,
-        f"epos2_ros plan: {file} has no parameters of /epos2_driver\n",
+        f"epos2_ros plan: nothing in {file} is for /epos2_driver: it has parameters of /other; "
+        "name the node there, or write /** for any node\n",
     )
 
 

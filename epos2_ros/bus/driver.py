@@ -353,6 +353,7 @@ class Driver:
             transmit_errors=health.transmit_errors,
             receive_errors=health.receive_errors,
             start_error_us=self._group.start_error_us,
+            simulated=self._config.simulate,
         )
 
     def _sync_time_source(self) -> str:

@@ -60,3 +60,4 @@ class Snapshot:
     receive_errors: int = 0
     start_error_us: float | None = None  # of the last start at a given time
     outputs: tuple[OutputSnapshot, ...] = ()
+    simulated: bool = False  # the drives are simulated, in the driver's own process

@@ -22,9 +22,9 @@ from epos2_ros.demo.commanded import Commanded, scales
 from epos2_ros.demo.outputs import OutputResult, outputs_of
 from epos2_ros.demo.report import Observed, Report
 from epos2_ros.demo.terminal import Terminal, bar
-from epos2_ros.demo.witness import DRIVER, Witness
+from epos2_ros.demo.witness import Witness
 from epos2_ros.errors import Epos2RosError
-from epos2_ros.files import read_parameters, read_trajectory, share, shipped_parameters
+from epos2_ros.files import DRIVER, read_parameters, read_trajectory, share, shipped_parameters
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.parameters import DriverParameters
 
@@ -145,7 +145,7 @@ class Machine:
     """
 
     def __init__(self, params: Path, start: Mapping[str, float], scratch: Path) -> None:
-        given = read_parameters(params)
+        given = read_parameters(params, f"/{DRIVER}")
         DriverParameters(given).config()  # what the driver would refuse is refused in its words
         self._offsets = {f"axes.{joint}.offset": float(start[joint]) for joint in start}
         self.parameters = {**given, **self._offsets}
@@ -306,7 +306,7 @@ def parameter_file(joints: Sequence[str], scratch: Path) -> Path:
         "ipm": {"buffer_time": 1.0},
     }
     file = scratch / "revolute.yaml"
-    file.write_text(yaml.safe_dump({f"/{DRIVER}": {"ros__parameters": section}}))
+    file.write_text(yaml.safe_dump({"/**": {"ros__parameters": section}}))
     return file
 
 

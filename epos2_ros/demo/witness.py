@@ -22,9 +22,9 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from epos2_ros.demo.outputs import Event
 from epos2_ros.demo.report import Observed
+from epos2_ros.files import DRIVER
 from epos2_ros.motion.trajectory import Trajectory
 
-DRIVER = "epos2_driver"
 TOPICS = 3  # /joint_states, ~/buffer_status, /diagnostics
 ANSWER_TIMEOUT_S = 1.0
 EVENTS_KEPT = 1000  # of an output: they come in bursts

@@ -41,10 +41,12 @@ from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
+from epos2_ros.arguments import given_parameters
 from epos2_ros.bus.driver import Driver
 from epos2_ros.compare_config import CompareConfig
 from epos2_ros.config import ClockLimits, DriverConfig
 from epos2_ros.errors import Epos2RosError
+from epos2_ros.files import DRIVER
 from epos2_ros.motion import knots
 from epos2_ros.motion.move import target_of
 from epos2_ros.motion.trajectory import Trajectory
@@ -89,7 +91,7 @@ class DriverNode(LifecycleNode):
     """`/epos2_driver`."""
 
     def __init__(self, make_driver: MakeDriver = Driver, **kwargs: Any) -> None:
-        super().__init__("epos2_driver", **kwargs)
+        super().__init__(DRIVER, **kwargs)
         self._make_driver = make_driver
         self._driver: Driver | None = None
         self._active = False
@@ -160,10 +162,12 @@ class DriverNode(LifecycleNode):
                 (DIAGNOSTICS_PERIOD_S, self._publish_diagnostics),
             )
         ]
-        drives = "simulated drives" if config.simulate else "drives"
-        self.get_logger().info(
-            f"configured: {len(config.axes)} {drives} on {config.interface} {config.channel}"
-        )
+        where = f"{len(config.axes)} {{}} on {config.interface} {config.channel}"
+        if config.simulate:
+            simulated = where.format("simulated drives")
+            self.get_logger().warning(f"configured: {simulated}: no real drive moves")
+        else:
+            self.get_logger().info(f"configured: {where.format('drives')}")
         return TransitionCallbackReturn.SUCCESS
 
     @_transition
@@ -364,15 +368,19 @@ def main(argv: Sequence[str] | None = None) -> int:
         signal.signal(number, lambda *_: asked_to_stop.set())
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     try:
+        given = given_parameters(args)
         usage.parse_args(remove_ros_args(args))
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        node = DriverNode()
+        for parameters in given:
+            parameters.of(node.get_fully_qualified_name())
     except UnknownROSArgsError as error:
         usage.error(f"unrecognized ROS arguments: {error}")
-    except RCLError as error:
+    except (Epos2RosError, RCLError) as error:
         print(f"epos2_ros driver: {str(error).splitlines()[0]}", file=sys.stderr)
+        rclpy.try_shutdown()
         return 2
 
-    node = DriverNode()
     if not knots.COMPILED:
         node.get_logger().warning(
             "Numba is not installed: fitting takes some hundred times longer (Debian, Ubuntu: "

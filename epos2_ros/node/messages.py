@@ -153,6 +153,7 @@ def _bus_of(snapshot: Snapshot, node: str, channel: str) -> DiagnosticStatus:
         values=_values(
             {
                 "group": snapshot.state,
+                "drives": "simulated" if snapshot.simulated else "real",
                 "load [%]": f"{100 * snapshot.bus_load:.1f}",
                 "controller": snapshot.bus_state,
                 "transmit errors": str(snapshot.transmit_errors),

@@ -41,11 +41,9 @@ class Parameters:
         self._changeable = changeable
         self._set_output = set_output
         # What files and command line say, whether declared or not; rclpy has no public name for
-        # it. Without what rclpy has declared itself, such as use_sim_time.
+        # it.
         overrides = node._parameter_overrides.items()
-        self._parameters = DriverParameters(
-            {name: p.value for name, p in overrides if not node.has_parameter(name)}
-        )
+        self._parameters = DriverParameters({name: p.value for name, p in overrides})
         for name, spec in self._parameters.specs.items():
             value, described = self._parameters.values[name], descriptor(spec)
             if _of_output(name):

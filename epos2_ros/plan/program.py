@@ -63,7 +63,7 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def _plan(trajectory: Trajectory, name: str, arguments: argparse.Namespace) -> None:
-    config, source = _parameters(trajectory, arguments.params)
+    config, source = _parameters(trajectory, arguments.params, arguments.node)
     if _moves(trajectory, config):
         _plan_move(trajectory, name, source, config, arguments)
         return
@@ -133,10 +133,12 @@ def _write_events(plans: OutputPlans, path: Path | None) -> None:
             write_csv(plans.outputs, file)
 
 
-def _parameters(trajectory: Trajectory, file: Path | None) -> tuple[DriverConfig, str]:
+def _parameters(
+    trajectory: Trajectory, file: Path | None, node: str | None
+) -> tuple[DriverConfig, str]:
     """The driver's configuration, and in words where it is from."""
     if file is not None:
-        return DriverParameters(read_parameters(file)).config(), str(file)
+        return DriverParameters(read_parameters(file, node)).config(), str(file)
     if shipped := shipped_parameters(trajectory.joint_names):
         source = f"{shipped}, which is for these joints"
         return DriverParameters(read_parameters(shipped)).config(), source
@@ -165,6 +167,11 @@ def _arguments(argv: Sequence[str]) -> argparse.Namespace:
         metavar="FILE",
         help="parameters of the driver (default: those shipped for the trajectory's joints, or "
         "the driver's own)",
+    )
+    parser.add_argument(
+        "--node",
+        metavar="NAME",
+        help="full name of the node whose parameters these are, if the file has several drivers'",
     )
     parser.add_argument(
         "--start",
