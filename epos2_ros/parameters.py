@@ -39,8 +39,7 @@ class Spec:
     """One parameter. The default's type is the parameter's; `low` and `high` are inclusive.
 
     For a list, `low` and `high` hold for each element, and a list of numbers has the default's
-    length; with `any_length` it may have any, and empty is the default (rcl has no empty list of
-    a certain type).
+    length; with an `element` to be like it may have any, and is empty by default.
     """
 
     default: Any
@@ -49,7 +48,7 @@ class Spec:
     high: float = inf
     choices: tuple[Any, ...] = ()
     read_only: bool = False
-    any_length: bool = False
+    element: Any = None
 
     @property
     def allowed(self) -> str:
@@ -65,12 +64,23 @@ class Spec:
             return f"a number{self._bounds}"
         if isinstance(self.default, str):
             return "text"
-        if isinstance(self.default[0], float):
-            length = "" if self.any_length else f"{len(self.default)} "
+        if isinstance(self._like, float):
+            length = "" if self._any_length else f"{len(self.default)} "
             return f"a list of {length}numbers{self._bounds}"
-        if self.any_length:
+        if self._any_length:
             return f"a list of up to {MAX_AXES} names of letters, digits and _, each once"
         return f"a list of 1 to {MAX_AXES} names, each once"
+
+    @property
+    def _any_length(self) -> bool:
+        return self.element is not None
+
+    @property
+    def _like(self) -> Any:
+        """What a value is like, or each of a list."""
+        if self._any_length:
+            return self.element
+        return self.default[0] if isinstance(self.default, list) else self.default
 
     @property
     def _bounds(self) -> str:
@@ -86,18 +96,18 @@ class Spec:
         """
         if not isinstance(self.default, list):
             return self._read_one(value, self.default)
-        if self.any_length and (value is None or len(value) == 0):
-            return list(self.default)
+        if self._any_length and value is None:
+            return []  # rcl reads an empty list as "not set"
         if not isinstance(value, (list, tuple, array)):
             raise ValueError
-        values = [self._read_one(v, self.default[0]) for v in value]
-        if isinstance(self.default[0], str):
-            named = all(map(_is_token, values)) if self.any_length else all(values)
-            valid = 1 <= len(set(values)) == len(values) <= MAX_AXES and (
-                named or (self.any_length and values == self.default)
-            )
+        if self._any_length and not value:
+            return []
+        values = [self._read_one(v, self._like) for v in value]
+        if isinstance(self._like, str):
+            named = all(map(_is_token if self._any_length else bool, values))
+            valid = named and 1 <= len(set(values)) == len(values) <= MAX_AXES
         else:
-            valid = self.any_length or len(values) == len(self.default)
+            valid = self._any_length or len(values) == len(self.default)
         if not valid:
             raise ValueError
         return values
@@ -117,14 +127,9 @@ class Spec:
         """The line for a value that is not allowed."""
         line = f"{name} is {_written(value)}; it must be {self.allowed}"
         values = value if isinstance(value, (list, tuple)) else [value]
-        if any(isinstance(v, bool) for v in values) and isinstance(self._element, str):
+        if any(isinstance(v, bool) for v in values) and isinstance(self._like, str):
             return f"{line}; a bare y, n, on or off is a boolean, put it in quotes"
         return line
-
-    @property
-    def _element(self) -> Any:
-        """What a value is like, or each of a list."""
-        return self.default[0] if isinstance(self.default, list) else self.default
 
 
 GROUP: dict[str, Spec] = {
@@ -220,7 +225,7 @@ OUTPUT: dict[str, Spec] = {
     "pin": Spec(1, "number of the output on the joint's drive", 1, 127),
     "method": Spec("", "hardware or software; '': hardware where it can", choices=("", *METHODS)),
     "window": Spec([inf, inf], "[lower, upper] [rad or m]; inf: not set"),
-    "positions": Spec([inf], "of crossing and series [rad or m]; inf: not set", any_length=True),
+    "positions": Spec([], "of crossing and series [rad or m]", element=0.0),
     "start": Spec(inf, "of interval: a position with a pulse [rad or m]; inf: not set"),
     "interval": Spec(0.0, "from one pulse to the next [rad or m]; 0: not set", 0.0),
     "end": Spec(inf, "of interval: a pulse at most here [rad or m]; inf: none"),
@@ -259,8 +264,8 @@ class DriverParameters:
             for name, spec in CONSTRAINTS.items():
                 self._add(f"constraints.{joint}.{name}", spec, given)
         named = "names of the position-triggered outputs"
-        self._add("outputs", Spec([""], named, read_only=True, any_length=True), given)
-        for output in filter(None, self.values["outputs"]):
+        self._add("outputs", Spec([], named, read_only=True, element=""), given)
+        for output in self.values["outputs"]:
             for name, spec in OUTPUT.items():
                 self._add(f"compare.{output}.{name}", spec, given)
         for name in given:
@@ -307,7 +312,7 @@ class DriverParameters:
             state_rate=values["state_rate"],
             log_file=values["log.file"] or None,
             log_size=values["log.size"],
-            outputs=tuple(map(self.output, filter(None, values["outputs"]))),
+            outputs=tuple(map(self.output, values["outputs"])),
             simulation=SimulationConfig(
                 drift_ppm=values["simulation.drift_ppm"],
                 seed=values["simulation.seed"],

@@ -679,6 +679,7 @@ def test_diagnostics_of_the_bus(values, level):
     ("tally", "level", "message"),
     [
         (Tally(), DiagnosticStatus.OK, "no motion yet"),
+        (Tally(5), DiagnosticStatus.OK, "no predicted motion has ended yet"),
         (Tally(4, 2, 2, -31.0), DiagnosticStatus.OK, "as predicted"),
         (
             Tally(3, 2, 1, 0.0, "2 events predicted, 1 reported"),

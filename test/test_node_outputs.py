@@ -78,6 +78,21 @@ def test_new_positions_reach_the_drive_or_are_refused_with_one_line(world):
     assert world.logged("refused")[-1] == "positions refused: only a series takes them"
 
 
+def test_a_parameter_that_a_topic_has_changed_says_so(world):
+    driver = started(world)
+    world.publish("compare/laser/positions", Float64MultiArray(data=[0.25, 0.5]))
+    request = GetParameters.Request(names=["compare.laser.positions"])
+
+    def shown() -> list[float]:
+        answer = world.call(GetParameters, "/epos2_driver/get_parameters", request)
+        return list(answer.values[0].double_array_value)
+
+    world.wait(lambda: shown() == [0.25, 0.5])
+    assert not [call for call in driver.calls if call == "set laser"]  # it had them already
+    assert change(world, laser__pulse=0.01) == ""  # and does not lose them with a later change
+    assert driver.outputs["laser"].positions == (0.25, 0.5)
+
+
 def move(seconds: int, *positions: float) -> JointTrajectory:
     point = JointTrajectoryPoint(positions=list(positions), time_from_start=Duration(sec=seconds))
     return JointTrajectory(joint_names=["a", "b"], points=[point])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from math import inf, nan
+from math import inf, isfinite, nan
 from pathlib import Path
 from typing import Any
 
@@ -225,6 +225,9 @@ def test_whole_numbers_do_where_numbers_are_asked_for(make):
             camera("interval", start=0.0, interval=0.1, end=-inf),
             ["compare.camera.end", "-inf", "finite"],
         ),
+        ({"outputs": 5}, ["outputs is 5", "names"]),
+        ({"outputs": [True]}, ["outputs is [True]", "a bare y, n, on or off is a boolean"]),
+        ({"can.channel": False}, ["can.channel is false", "text", "put it in quotes"]),
         # what is not there at all
         ({"ipm.tolerence": 1.0}, ["ipm.tolerence", "1.0", "ipm.tolerance?"]),
         ({"axes.joint_1.gear_ration": 100.0}, ["gear_ration", "100.0", "joint_1.gear_ratio?"]),
@@ -287,9 +290,13 @@ def test_every_parameter_is_declared_with_type_description_and_what_is_allowed(m
         assert descriptor.type != ParameterType.PARAMETER_NOT_SET, name
         assert descriptor.description, name
         assert descriptor.additional_constraints, name
-        if descriptor.type == ParameterType.PARAMETER_DOUBLE:
-            assert descriptor.floating_point_range, name
+        for range_ in descriptor.floating_point_range:  # rqt_reconfigure stops at an infinite one
+            assert isfinite(range_.from_value) and isfinite(range_.to_value), name
+    assert descriptors["sync.period"].floating_point_range[0].to_value == 1.0
+    assert descriptors["outputs"].type == ParameterType.PARAMETER_STRING_ARRAY
+    assert descriptors["outputs"].read_only
     assert descriptors["axes.joint_1.node_id"].integer_range[0].to_value == 127
+    assert node.get_parameter("outputs").value == []
     # `ros2 param dump` reads all values at once, and gets none if one of them is not set
     assert all(p.type_ != Parameter.Type.NOT_SET for p in node.get_parameters(list(descriptors)))
 

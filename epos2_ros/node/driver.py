@@ -263,6 +263,7 @@ class DriverNode(LifecycleNode):
     def _on_positions(self, output: str, message: Float64MultiArray) -> None:
         try:
             self._configured().set_positions(output, list(message.data))
+            self._declared.note_positions(output, message.data)
         except Epos2RosError as error:
             self.get_logger().error(f"positions refused: {error}")
 

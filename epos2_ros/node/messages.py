@@ -120,10 +120,11 @@ def _clock_of(axis: AxisSnapshot, limits: ClockLimits) -> tuple[bytes, str]:
 def _output_of(output: OutputSnapshot, node: str, channel: str) -> DiagnosticStatus:
     tally = output.tally
     known = tally.predicted is not None
+    unknown = "no predicted motion has ended yet" if tally.events else "no motion yet"
     return DiagnosticStatus(
         level=WARN if tally.difference else OK,
         name=f"{node}: compare.{output.name}",
-        message=tally.difference or ("as predicted" if known else "no motion yet"),
+        message=tally.difference or ("as predicted" if known else unknown),
         hardware_id=f"{channel}/{output.node_id}",
         values=_values(
             {

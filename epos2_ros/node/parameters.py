@@ -7,7 +7,8 @@ the lifecycle transition "configure" fails with its line until the value has bee
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import math
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from rcl_interfaces.msg import (
@@ -48,7 +49,9 @@ class Parameters:
             value, described = self._parameters.values[name], descriptor(spec)
             if _of_output(name):
                 described.additional_constraints = f"{spec.allowed}; changes while the axes stand"
-            node.declare_parameter(name, value, described, ignore_override=True)
+            _declare(node, name, value, described)
+        self._node = node
+        self._noted: Parameter | None = None
         node.add_on_set_parameters_callback(self._review)
         node.add_post_set_parameters_callback(self._take)
 
@@ -58,15 +61,23 @@ class Parameters:
     @property
     def outputs(self) -> list[str]:
         """Names of the position-triggered outputs."""
-        return [name for name in self["outputs"] if name]
+        return list(self["outputs"])
 
     def config(self) -> DriverConfig:
         """The parameters as they stand; ConfigurationError for the first that is wrong."""
         return self._parameters.config()
 
+    def note_positions(self, output: str, positions: Sequence[float]) -> None:
+        """A series has other positions, which its drive has already: the parameter says so."""
+        name = f"compare.{output}.positions"
+        self._noted = Parameter(name, Parameter.Type.DOUBLE_ARRAY, list(positions))
+        self._node.set_parameters([self._noted])
+
     def _review(self, changes: Iterable[Parameter]) -> SetParametersResult:
         """Refuses at `ros2 param set` what would make `config` fail, and changes too late."""
         changes = list(changes)
+        if any(change is self._noted for change in changes):
+            return SetParametersResult(successful=True)
         for change in changes:
             spec = self._parameters.specs.get(change.name)
             if spec is None:  # rclpy's own, such as use_sim_time
@@ -115,6 +126,18 @@ class Parameters:
                 self._parameters.set(change.name, change.value)
 
 
+def _declare(node: Node, name: str, value: Any, described: ParameterDescriptor) -> None:
+    if value != []:
+        node.declare_parameter(name, value, described, ignore_override=True)
+        return
+    # rclpy takes an empty list for one of bytes, unless it is set to a type declared before.
+    of = Parameter.Type.DOUBLE_ARRAY if _of_output(name) else Parameter.Type.STRING_ARRAY
+    node.declare_parameter(name, of, ignore_override=True)
+    node.set_parameters([Parameter(name, of, value)])
+    described.name, described.type = name, of.value
+    node.set_descriptor(name, described)
+
+
 def _of_output(name: str) -> bool:
     return name.startswith("compare.")
 
@@ -127,7 +150,8 @@ def descriptor(spec: Spec) -> ParameterDescriptor:
         additional_constraints=f"{spec.allowed}; {fixed}",
         read_only=spec.read_only,
     )
-    if isinstance(spec.default, float):
+    # No range with an infinite end: tools that make sliders of ranges stop at one.
+    if isinstance(spec.default, float) and math.isfinite(spec.low) and math.isfinite(spec.high):
         result.floating_point_range = [FloatingPointRange(from_value=spec.low, to_value=spec.high)]
     elif type(spec.default) is int and not spec.choices:
         result.integer_range = [IntegerRange(from_value=int(spec.low), to_value=int(spec.high))]
