@@ -67,6 +67,7 @@ class Bench:
         self.frames: list[tuple[float, Frame, bool]] = []  # all that was on the bus: time, echo
         self.events: list[Event] = []
         self._due_us = 0.0  # until when the bus runs on without the driver
+        self._until: Callable[[], bool] = lambda: False
         if bring_up:
             self.bring_up()
 
@@ -97,11 +98,16 @@ class Bench:
     def run(self, seconds: float, until: Callable[[], bool] = lambda: False) -> None:
         """Simulated time goes on for `seconds`, or until the condition holds."""
         end_us = self.now_us + seconds * 1e6
+        self._until = until
         while self.now_us < end_us and not until():
             self._step()
+            if until():
+                break
             self._due_us = max(self._deadline_us, self.now_us) + self.late_us()
             self.bus.run_until(min(end_us, self._due_us), self._on_frame)
-            self._step()
+            if not until():
+                self._step()
+        self._until = lambda: False
 
     # ------------------------------------------------------------------ inside
 
@@ -157,4 +163,4 @@ class Bench:
         self._flush()
         if not echo:
             self.network.notify(can_id, bytearray(data), t_us / 1e6)
-        return self._deadline_us < self._due_us
+        return self._deadline_us < self._due_us or self._until()

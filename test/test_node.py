@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +37,7 @@ from epos2_ros.compare_config import CompareConfig
 from epos2_ros.config import ClockLimits, DriverConfig
 from epos2_ros.demo.report import Executed
 from epos2_ros.demo.witness import Witness
-from epos2_ros.errors import BusError, DriveError, TrajectoryError
+from epos2_ros.errors import BusError, DriveError, Epos2RosError, TrajectoryError
 from epos2_ros.files import read_parameters
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.node import messages
@@ -778,6 +779,29 @@ def test_ctrl_c_stops_on_the_path(number, program, ros_domain_id, examples, tmp_
     assert np.abs(np.diff(x, 2)).max() <= 4  # … as gently as it was told to move, 2 qc/ms² …
     lines = [abs(y), abs(x - 400_000), abs(y - 20_000), abs(x), abs(y - 40_000)]
     assert np.min(lines, axis=0).max() <= 1.0  # … on the lines of the raster
+
+
+def test_ctrl_c_ends_what_waits_for_its_stamp(program, ros_domain_id, examples, tmp_path):
+    """Nothing moves, and the drives are off long before the stamp a minute ahead."""
+    log = tmp_path / "log.npz"
+    driver = program(
+        *("--ros-args", "--params-file", str(GANTRY)),
+        *("-p", f"epos2_driver:simulation.log:={log}"),
+    )
+    driver.read_until("active: ")
+    trajectory = Trajectory.from_dict(yaml.safe_load((examples / "raster_scan.yaml").read_text()))
+    with Witness(ros_domain_id) as witness:
+        spin_until(witness, lambda: witness.ready)
+        witness.publish(replace(trajectory, stamp_s=time.time() + 60))
+        driver.read_until("waits for its stamp")
+        asked = time.monotonic()
+        assert driver.end(signal.SIGINT) == 0
+        assert time.monotonic() - asked < 10
+    assert "cancelled before it began" in driver.output
+    assert "Traceback" not in driver.output
+    for node in (1, 2):
+        with pytest.raises(Epos2RosError, match="did not move"):
+            Executed.load(log, node)
 
 
 def test_a_driver_that_cannot_configure_stays_up_and_ends_cleanly(program):

@@ -214,6 +214,7 @@ class Driver:
         if self._brought_up and self._link is not None and not self._link.failed:
             self._brought_up = False
             try:
+                self._switch_off()
                 self._produce_sync(0)
             except DriveError as error:
                 self._warn(str(error))
@@ -228,6 +229,16 @@ class Driver:
         if self._simulation is not None:
             self._simulation.close()
 
+    def _switch_off(self) -> None:
+        """Nothing is left enabled behind a closed bus: axes that still are stop at once."""
+        group, profile = self._group, self._copley.protocol
+        if self._reactor.call(lambda: group.phase is not Phase.DISABLED):
+            self._wait_for("quick stop", group.quick_stop)
+            self._wait_for("disable", group.disable)
+        if self._reactor.call(lambda: profile.phase is not ProfilePhase.DISABLED):
+            self._wait_for("quick stop", profile.quick_stop)
+            self._wait_for("disable", profile.disable)
+
     # ------------------------------------------------------------------ requests
 
     def enable(self) -> None:
@@ -235,11 +246,20 @@ class Driver:
         self._wait_for("enable", self._group.enable, self._copley.protocol.enable)
 
     def disable(self) -> None:
-        """Stop on the path, then switch every axis off."""
-        if self._moving():
-            self.stop_on_path()
-        self._wait_for("halt", self._copley.protocol.halt)
-        self._wait_for("disable", self._group.disable, self._copley.protocol.disable)
+        """Stop on the path, then switch every axis off; what has not begun does not begin.
+
+        Axes that don't come to rest in time on their path are halted.
+        """
+        self._stops += 1
+        profile = self._copley.protocol
+        off = self._reactor.call(self._path.disable)
+        self._wait_for("halt", profile.halt)
+        try:
+            off.result(REQUEST_TIMEOUT_S)
+        except FutureTimeoutError:
+            self._reactor.call(self._group.halt)
+            self._wait(off, "disable")
+        self._wait_for("disable", profile.disable)
 
     def submit(self, trajectory: Trajectory) -> None:
         """Run a trajectory, or stop on the path if it has no points. TrajectoryError: refused."""
@@ -287,7 +307,10 @@ class Driver:
         self._worker.run(partial(self._outputs.reconfigure, config))
 
     def stop_on_path(self) -> None:
-        """All axes slow down together along the commanded path; returns when they stand."""
+        """All axes slow down together along the commanded path; returns when they stand.
+
+        What has not begun does not begin.
+        """
         motion = self._reactor.call(self._stop_path)
         if motion is not None:
             try:
@@ -434,9 +457,6 @@ class Driver:
                 )
             )
         return snapshots
-
-    def _moving(self) -> bool:
-        return self._reactor.call(lambda: self._group.phase in IN_MOTION)
 
     def _standing(self) -> bool:
         return (

@@ -21,7 +21,7 @@ from epos2_ros.motion.foresight import Foresight
 from epos2_ros.motion.reference import Reference
 from epos2_ros.motion.stream import Stream
 from epos2_ros.motion.trapezoid import Trapezoid
-from epos2_ros.protocol.group import IN_MOTION, Group, Phase
+from epos2_ros.protocol.group import IN_MOTION, End, Group, Phase
 from epos2_ros.protocol.outputs import Outputs
 from epos2_ros.protocol.profile_axes import IN_MOTION as IN_PROFILE_MOTION
 from epos2_ros.protocol.profile_axes import Phase as ProfilePhase
@@ -50,7 +50,7 @@ class Predictor:
         self._in_group = [joints.index(axis.joint) for axis in group.axes]
         self._in_profile = [joints.index(axis.joint) for axis in profile.axes]
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="prediction")
-        self._motion: Future[None] | None = None  # of the group; None: it stands
+        self._motion: Future[End] | None = None  # of the group; None: it stands
         self._reference: Reference | None = None  # that it follows, or has followed last
         self._moves: list[Trapezoid | None] = []  # that are under way; []: they stand
         # The predicting thread's own: by output, of the motion in progress.

@@ -10,7 +10,7 @@ from types import TracebackType
 from typing import Any
 
 import rclpy
-from builtin_interfaces.msg import Duration
+from builtin_interfaces.msg import Duration, Time
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.srv import GetState
 from rclpy.context import Context
@@ -118,7 +118,7 @@ class Witness:
         return time.monotonic() - self._active_at < QUIET_S
 
     def publish(self, trajectory: Trajectory) -> None:
-        """On `~/joint_trajectory`, to start now."""
+        """On `~/joint_trajectory`, to start at its stamp, or now if it has none."""
         self._buffer_errors.clear()
         self._bus_load = 0.0
         for events in self._events.values():
@@ -129,6 +129,8 @@ class Witness:
             "accelerations": trajectory.accelerations,
         }
         message = JointTrajectory(joint_names=list(trajectory.joint_names))
+        sec, nanosec = divmod(round((trajectory.stamp_s or 0.0) * 1e9), 10**9)
+        message.header.stamp = Time(sec=sec, nanosec=nanosec)
         for i, t_s in enumerate(trajectory.times_s):
             sec, nanosec = divmod(round(t_s * 1e9), 10**9)
             point = JointTrajectoryPoint(time_from_start=Duration(sec=sec, nanosec=nanosec))

@@ -38,6 +38,7 @@ class Axis:
         self.fit = setup.fit
         self.statusword = 0
         self.statusword_us = -math.inf
+        self.active_us = -math.inf  # when it last reported ip mode active
         self._event_us = -math.inf  # of the last TPDO1
         self.buffer_status = 0
         self.free = epos2.BUFFER_SIZE
@@ -75,6 +76,8 @@ class Axis:
         """A statusword, from a PDO or read at bring-up."""
         self.statusword = statusword
         self.statusword_us = t_us
+        if self.ip_active:
+            self.active_us = t_us
 
     def on_tpdo1(self, data: bytes, t_us: float) -> None:
         statusword, self.buffer_status, self.free = epos2.TPDO1_LAYOUT.unpack(data)

@@ -11,14 +11,17 @@ The rules this file keeps:
   then one SYNC, whose time on the bus is the zero of every axis' path. No other SYNC is sent
   between the first of those controlwords and that one. Where a drive sends SYNC, they go out right
   after one, and the next is the start.
+* What has not begun never begins once it is stopped or replaced: until the start SYNC is handed
+  over, "enable ip mode" is taken back in every drive, seen on the bus before the next SYNC, and
+  the records are cleared out of the buffers.
 * One axis in trouble stops all. Nothing starts again by itself.
 """
 
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Callable, Collection, Sequence
+from collections import Counter, deque
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
 from enum import Enum
@@ -40,6 +43,7 @@ STOP_TIMEOUT_US = 5_000_000.0  # for an axis to come to rest after a halt or qui
 ACTIVE_TIMEOUT_US = 200_000.0  # after the start SYNC, for "ip mode active"
 END_TIMEOUT_MS = 500.0  # after the end record, for "ip mode inactive"
 ROUNDING_US = 1.0  # so much later than due, path time has come to it whatever its last digit
+WAIT_SAID_US = 500_000.0  # a motion that waits longer than this for its stamp is told of
 SILENCE_TIMEOUT_US = 1_500_000.0  # a drive not heard so long is lost
 
 
@@ -55,6 +59,7 @@ class Phase(Enum):
     ARMING = "arming the start"
     STARTING = "starting"
     MOVING = "moving"
+    CANCELLING = "taking back the start"
     HALTING = "halting"
     QUICK_STOPPING = "quick stop"
     DISABLING = "disabling"
@@ -62,7 +67,16 @@ class Phase(Enum):
     FAULT = "fault"
 
 
-IN_MOTION = frozenset({Phase.PRIMING, Phase.ARMING, Phase.STARTING, Phase.MOVING})
+NOT_BEGUN = frozenset({Phase.PRIMING, Phase.ARMING})
+BEGUN = frozenset({Phase.STARTING, Phase.MOVING})
+IN_MOTION = NOT_BEGUN | BEGUN
+_GETTING_ENABLED = frozenset(
+    {Phase.ENABLING, Phase.CLEARING, Phase.SETTLING, Phase.CANCELLING, Phase.STANDING} | IN_MOTION
+)
+_NO_CHANGE = {
+    State.OPERATION_ENABLED: cia402.ENABLE_OPERATION,
+    State.QUICK_STOP_ACTIVE: cia402.QUICK_STOP,
+}
 _WALK_TARGET = {
     Phase.ENABLING: State.OPERATION_ENABLED,
     Phase.DISABLING: State.READY_TO_SWITCH_ON,
@@ -73,8 +87,15 @@ _WALK_TARGET = {
 class Event(NamedTuple):
     """Something a user wants to read in the log."""
 
-    kind: str  # "started", "done", "aborted", "fault" or "warning"
+    kind: str  # "waiting", "started", "done", "cancelled", "aborted", "fault" or "warning"
     text: str
+
+
+class End(Enum):
+    """How a motion ended that was not aborted."""
+
+    ARRIVED = "all axes have arrived"
+    STOPPED = "stopped on the path"
 
 
 @dataclass(frozen=True)
@@ -122,14 +143,24 @@ class Group:
             self.axes, settings.buffer_time_ms, settings.tolerance_qc, settings.smoothness
         )
         self._now_us = -math.inf
-        self._request: Future[None] | None = None
-        self.motion: Future[None] | None = None  # ends with the motion in progress
+        self._requests: list[Future[None]] = []  # that end with what the group is at
+        self._disable_next: Future[None] | None = None  # as soon as the axes are at rest
+        self._when_started: list[Callable[[], None]] = []  # what waits for the start SYNC
+        self.motion: Future[End] | None = None  # ends with the motion in progress
+        self._next: tuple[Reference, float | None] | None = None  # begins when buffers are empty
+        self._end = End.ARRIVED
+        self._faulted = False  # somebody has to reset it
         self._phase_us = -math.inf  # since when the group is in this phase
         self._steps: dict[int, _Step] = {}
-        self._uncleared: set[int] = set()
+        self._uncleared: Counter[int] = Counter()  # buffers asked to be cleared, by axis
+        self._moved = True  # the axes, since their demand was last read
         self._planned_start_us: float | None = None
         self._fed_us = -math.inf  # when the last record before the start was handed over
-        self._armed: set[int] = set()  # node ids whose "enable ip mode" is not yet on the bus
+        # By node id: synchronous controlwords that are not yet seen on the bus, and since when.
+        self._unseen: Counter[int] = Counter()
+        self._unseen_us = -math.inf
+        self._latched = False  # a SYNC is still to make the last of them count
+        self._halt_is_fault = False
         self._handlers: dict[int, Callable[[bytes, float], None]] = {}
         self._echo_handlers: dict[int, Callable[[float], None]] = {
             epos2.SYNC: self._on_sync,
@@ -170,7 +201,7 @@ class Group:
         ):
             self._handlers[cob_id] = self._heard(axis, cob_id, handler)
         self._echo_handlers[epos2.RPDO1 + node] = lambda t_us: axis.account.seen_on_bus(t_us)
-        self._echo_handlers[epos2.RPDO2 + node] = lambda t_us: self._armed.discard(node)
+        self._echo_handlers[epos2.RPDO2 + node] = lambda t_us: self._seen(node)
         self._echo_handlers[epos2.RPDO3 + node] = lambda t_us: self.time.on_stamp(index)
 
     def _heard(
@@ -199,19 +230,30 @@ class Group:
         elif handler := self._handlers.get(frame.can_id):
             handler(frame.data, t_us)
 
+    def _seen(self, node_id: int) -> None:
+        """A synchronous controlword of a drive was on the bus."""
+        self._unseen -= Counter((node_id,))
+
     def _on_sync(self, t_us: float) -> None:
-        if not self._hosts_sync and self.phase is Phase.ARMING:
+        late = len(self._unseen)
+        self._latched &= late > 0
+        if late and self.phase is Phase.CANCELLING:  # of a drive: some have started
+            self._halt_is_fault = False
+            self._halt_all()
+        elif not self._hosts_sync and self.phase is Phase.ARMING:
             self._enter(Phase.STARTING)
-            if self._armed:
-                self._take_back(self._armed, cia402.ENABLE_OPERATION)
+            if late:
+                self.start_us = t_us
                 self._stop_all(
-                    f"SYNC came before the start controlword was on the bus for "
-                    f"{len(self._armed)} axes"
+                    f"SYNC came before the start controlword was on the bus for {late} axes"
                 )
         starts = self.phase is Phase.STARTING and self.start_us is None
         if starts:
             self.start_us, self._start_master_us = t_us, self.time.clock.master_us(t_us)
         self.time.on_sync(t_us, begins_path=starts)
+        if starts:
+            self._now_us = max(self._now_us, t_us)
+            self._begun()
 
     # ------------------------------------------------------------------ requests
 
@@ -228,32 +270,50 @@ class Group:
     def enable(self) -> Future[None]:
         """Bring every drive to "operation enabled", holding its position."""
         request: Future[None] = Future()
-        if self.phase in (Phase.DISABLED, Phase.QUICK_STOPPING):
-            self._accept(request, Phase.ENABLING)
-        elif self.phase is Phase.FAULT:
+        if self.phase is Phase.FAULT:
             request.set_exception(DriveError(f"can't enable: {self.reason}; reset the fault first"))
-        elif self.phase in IN_MOTION or self.phase is Phase.STANDING:
+        elif self._disable_next is not None:
+            request.set_exception(DriveError("can't enable: the drives are about to be disabled"))
+        elif self.phase is Phase.DISABLED:
+            self._accept(request, Phase.ENABLING)
+        elif self.phase is Phase.STANDING or self.phase in IN_MOTION:
             request.set_result(None)
+        elif self.phase in _GETTING_ENABLED:
+            self._requests.append(request)
         else:
             request.set_exception(DriveError(f"can't enable while {self.phase.value}"))
         return request
 
     def disable(self) -> Future[None]:
-        """Switch all drives off where they stand; a motion in progress is not ended here."""
+        """Switch all drives off where they stand.
+
+        What has not begun does not begin; axes that move are switched off when they have come to
+        rest, which is the caller's to see to.
+        """
         request: Future[None] = Future()
-        if self.phase in IN_MOTION:
-            request.set_exception(DriveError("can't disable while moving: stop first"))
+        if self.phase is Phase.DISABLING:
+            self._requests.append(request)
+        elif self.phase in BEGUN or self.phase in (Phase.HALTING, Phase.QUICK_STOPPING):
+            if self._disable_next is not None:
+                self._disable_next.add_done_callback(lambda other: _copy(other, request))
+            else:
+                self._disable_next = request
         else:
+            self._drop_motion("the drives are to be disabled")
+            self._take_back(cia402.SHUTDOWN)
             self._accept(request, Phase.DISABLING)
         return request
 
     def halt(self, reason: str = "halted on request") -> Future[None]:
         """Stop every axis on its own ramp (profile deceleration), at once; then hold."""
         request: Future[None] = Future()
-        if self.phase in IN_MOTION:
-            self._stop_all(reason, request)
-        elif self.phase is Phase.HALTING:
-            request.set_exception(DriveError("already halting"))
+        if self.phase in NOT_BEGUN:
+            return self.cancel(reason)
+        self._drop_motion(reason)
+        if self.phase in BEGUN:
+            self._once_started(request, lambda: self._stop_all(reason, fault=False))
+        elif self.phase in (Phase.HALTING, Phase.QUICK_STOPPING, Phase.CANCELLING):
+            self._requests.append(request)
         else:
             request.set_result(None)
         return request
@@ -263,25 +323,42 @@ class Group:
         request: Future[None] = Future()
         if self.phase is Phase.DISABLED:
             request.set_result(None)
-            return request
-        self._disarm(cia402.QUICK_STOP)
-        self.reason = "quick stop on request"
-        self._fail_motion(self.reason)
-        self._accept(request, Phase.QUICK_STOPPING)
-        for axis in self.axes:
-            if axis.state is State.OPERATION_ENABLED:
-                self.outbox.append(axis.controlword(cia402.QUICK_STOP))
+        elif self.phase is Phase.QUICK_STOPPING:
+            self._requests.append(request)
+        else:
+            self._fail_requests("given up for another request (quick stop)")
+            self._drop_motion("quick stop on request")
+            self._once_started(request, self._quick_stop)
         return request
 
     def reset_fault(self) -> Future[None]:
         """Leave the fault state; the axes stay off until they are enabled."""
         request: Future[None] = Future()
-        if self.phase is not Phase.FAULT:
+        if self.phase is Phase.RESETTING:
+            self._requests.append(request)
+        elif self.phase is Phase.FAULT:
+            self._accept(request, Phase.RESETTING)
+            for axis in self.axes:
+                axis.emergency = 0
+        elif self.phase is Phase.HALTING and self._halt_is_fault:
+            request.set_exception(DriveError(f"still halting: {self.reason}"))
+        else:
             request.set_result(None)
-            return request
-        self._accept(request, Phase.RESETTING)
-        for axis in self.axes:
-            axis.emergency = 0
+        return request
+
+    def cancel(self, reason: str) -> Future[None]:
+        """What is to begin does not, and the axes go on standing; answered when that is certain.
+
+        Only for a motion that has not begun (`standing`).
+        """
+        request: Future[None] = Future()
+        self._drop_motion(reason)
+        if self.phase in NOT_BEGUN:
+            self._cancel()
+        if self.phase is Phase.STANDING:
+            request.set_result(None)
+        else:
+            self._requests.append(request)
         return request
 
     def reconfigured(self, index: int, statusword: int, now_us: float) -> None:
@@ -294,12 +371,13 @@ class Group:
     def fail(self, reason: str) -> None:
         """Something is wrong that no drive says: stop all, and be in fault."""
         if self.phase in IN_MOTION:
-            self._stop_all(reason)
+            self._once_started(None, lambda: self._stop_all(reason))
         elif self.phase not in (Phase.FAULT, Phase.HALTING, Phase.RESETTING):
             self._settle_fault(reason)
 
     def bus_failed(self, reason: str) -> None:
         """Nothing gets through any more: the drives stop by themselves, the group is in fault."""
+        self._unseen.clear()
         self._settle_fault(reason)
 
     def lost_axes(self) -> list[int]:
@@ -308,10 +386,7 @@ class Group:
         return [
             index
             for index, axis in enumerate(self.axes)
-            if axis.restarted
-            or self._silent(axis)
-            or self.time.astray(index)
-            or index == missing
+            if axis.restarted or self._silent(axis) or self.time.astray(index) or index == missing
         ]
 
     def buffer_cleared(self, index: int, error: str = "") -> None:
@@ -319,23 +394,59 @@ class Group:
         if error:
             self._settle_fault(f"{self.axes[index]}: {error}")
         else:
-            self._uncleared.discard(index)
+            self._uncleared -= Counter((index,))
+
+    @property
+    def moving(self) -> bool:
+        """Whether the start SYNC has been handed over, and the axes are not yet at rest."""
+        return self.phase in BEGUN
+
+    @property
+    def standing(self) -> bool:
+        """Whether a motion can begin where the axes stand: also in place of one that has not."""
+        return self._disable_next is None and (
+            self.phase in NOT_BEGUN
+            or self.phase in (Phase.STANDING, Phase.CANCELLING)
+            or (self.phase is Phase.CLEARING and not self._moved)
+        )
 
     def begin(self, reference: Reference, start_us: float | None = None) -> None:
         """Start a motion from rest; its SYNC goes out at `start_us`, or as soon as possible.
 
         Of the SYNCs that a drive sends it is the nearest that can still be armed for.
 
-        `motion` then ends with it: a result when all axes have arrived, `MotionAborted` when
-        they were stopped. `TrajectoryError` when no motion can begin.
+        `motion` then ends with it: a result when all axes rest at its end, `MotionAborted` when
+        it was cancelled or halted. One that has not begun is cancelled for it. `TrajectoryError`
+        when no motion can begin.
         """
-        if self.phase is not Phase.STANDING:
+        if not self.standing:
             raise TrajectoryError(f"can't move: the drives are {self.describe_phase()}")
-        self.feeder.begin(reference)
+        self._drop_motion("another trajectory came before it began")
         self.reason = ""
         self.start_us = None
         self._planned_start_us = start_us
+        self._end = End.ARRIVED
+        if start_us is not None and start_us > self._now_us + WAIT_SAID_US:
+            ahead_s = (start_us - self._now_us) / 1e6
+            self.announce("waiting", f"the trajectory waits for its stamp, {ahead_s:.1f} s ahead")
         self.motion = Future()
+        self._next = reference, start_us
+        if self.phase in NOT_BEGUN:
+            self._cancel()
+        elif self.phase is Phase.STANDING:
+            self._begin_next()
+
+    def replace(self, reference: Reference, end: End = End.ARRIVED) -> None:
+        """Go on along `reference`, equal to the current one up to the end of what is committed."""
+        self.feeder.replace(reference)
+        self._end = end
+
+    def _begin_next(self) -> None:
+        """The motion that waited for the buffers to be empty."""
+        assert self._next is not None
+        (reference, start_us), self._next = self._next, None
+        self._planned_start_us = start_us
+        self.feeder.begin(reference)
         self._enter(Phase.PRIMING)
         self.time.before_path(max(self._now_us, (start_us or -math.inf) - 2 * LEAD_US))
 
@@ -377,25 +488,46 @@ class Group:
         """Do what is due at `now_us`, and set `deadline_us`."""
         self._now_us = now_us
         self._watch_silence()
+        self._watch_take_back()
         self._progress()
         self.time.advance(now_us, self._may_sync())
         self.deadline_us = min(self.time.deadline_us(self._may_sync()), self._phase_deadline_us())
 
     def _may_sync(self) -> bool:
-        """Between arming and the start no SYNC but the start's."""
-        return self.phase is not Phase.ARMING
+        """Between arming and the start no SYNC but the start's; none overtakes a controlword."""
+        return self.phase is not Phase.ARMING and not self._unseen
 
     def _enter(self, phase: Phase) -> None:
         self.phase = phase
         self._phase_us = self._now_us
         self._steps.clear()
+        if phase is not Phase.STARTING:
+            self._when_started.clear()
         if phase not in IN_MOTION:
             self.time.after_path()
 
     def _accept(self, request: Future[None], phase: Phase) -> None:
-        self._fail_request(f"given up for another request ({phase.value})")
-        self._request = request
+        self._fail_requests(f"given up for another request ({phase.value})")
+        self._requests.append(request)
         self._enter(phase)
+
+    def _once_started(self, request: Future[None] | None, action: Callable[[], None]) -> None:
+        """Do `action` now, or with a start SYNC that is on its way: it can't be called back.
+
+        A halt that got ahead of that SYNC would be undone by the controlword it makes count.
+        """
+        if request is not None:
+            self._requests.append(request)
+        if self.phase is Phase.STARTING and self.start_us is None:
+            self._when_started.append(action)
+        else:
+            action()
+
+    def _begun(self) -> None:
+        self._moved = True
+        actions, self._when_started = self._when_started, []
+        for action in actions:
+            action()
 
     def _phase_deadline_us(self) -> float:
         if self.phase in (Phase.DISABLED, Phase.STANDING, Phase.FAULT):
@@ -419,9 +551,14 @@ class Group:
         match self.phase:
             case Phase.ENABLING | Phase.DISABLING | Phase.RESETTING:
                 self._walk()
+            case Phase.CANCELLING:
+                if not self._unseen:
+                    self._clear_buffers()
             case Phase.CLEARING:
-                if not self._uncleared:
+                if not self._uncleared and self._moved:
                     self._enter(Phase.SETTLING)
+                elif not self._uncleared:
+                    self._stand()
             case Phase.SETTLING:
                 self._settle()
             case Phase.PRIMING:
@@ -441,6 +578,8 @@ class Group:
 
     def _walk(self) -> None:
         """One transition for every axis that is not where the phase wants it."""
+        if self._latched and self.phase is Phase.ENABLING:
+            return  # what the next SYNC makes count would undo it
         target = _WALK_TARGET[self.phase]
         waiting = []
         for axis in self.axes:
@@ -470,27 +609,52 @@ class Group:
             )
 
     def _arrived(self, axis: Axis, target: State) -> bool:
-        if self.phase is Phase.RESETTING:
-            return axis.state not in (State.FAULT, State.FAULT_REACTION_ACTIVE)
         if self.phase is Phase.DISABLING and axis.state is State.FAULT:
             return True  # its power stage is off; the fault stays for whoever resets it
         return axis.state is target
 
     def _walked(self) -> None:
         if self.phase is Phase.ENABLING:
+            self._moved = True
             self._clear_buffers()
         else:
-            faulty = [axis for axis in self.axes if axis.state is State.FAULT]
-            self._enter(Phase.FAULT if faulty else Phase.DISABLED)
-            if not faulty:
-                self.reason = ""
-            self._grant_request()
+            self._faulted &= self.phase is not Phase.RESETTING
+            self._off()
+
+    def _off(self) -> None:
+        """The drives are off, or in quick stop: the request is granted, a fault stays one."""
+        faulty = self._faulted or any(axis.state is State.FAULT for axis in self.axes)
+        self._enter(Phase.FAULT if faulty else Phase.DISABLED)
+        if not faulty:
+            self.reason = ""
+        self._grant_requests()
+        self._disable_if_asked()
 
     def _clear_buffers(self) -> None:
         """Clear and enable every buffer; then the next SYNC brings the position demand."""
         self._enter(Phase.CLEARING)
-        self._uncleared = set(range(len(self.axes)))
-        self.clearing.extend(self._uncleared)
+        every = range(len(self.axes))
+        self._uncleared += Counter(every)
+        self.clearing.extend(every)
+
+    def _stand(self) -> None:
+        """All axes are enabled and hold, their buffers empty."""
+        self._moved = False
+        self._enter(Phase.STANDING)
+        if self.motion is None:
+            self.reason = ""
+        self._grant_requests()
+        if not self._disable_if_asked() and self._next is not None:
+            self._begin_next()
+
+    def _disable_if_asked(self) -> bool:
+        """Whether the axes, now at rest, are to be switched off."""
+        request, self._disable_next = self._disable_next, None
+        if request is None:
+            return False
+        self._drop_motion("the drives are to be disabled")
+        self._accept(request, Phase.DISABLING)
+        return True
 
     def _settle(self) -> None:
         """Motion can begin once every drive has said, since it stands, where its demand is.
@@ -505,9 +669,7 @@ class Group:
         ]
         timeout_us = REPLY_TIMEOUT_US + SETTLING_SYNCS * self.settings.sync_period_us
         if not late and self.time.clock.settled:
-            self._enter(Phase.STANDING)
-            self.reason = ""
-            self._grant_request()
+            self._stand()
         elif self._now_us > self._phase_us + timeout_us:
             names = ", ".join(str(axis) for axis in late)
             self._settle_fault(
@@ -528,11 +690,8 @@ class Group:
             if not self.time.clear or not self._may_arm():
                 return
             self._enter(Phase.ARMING)
-            for axis in self.axes:
-                self._armed.add(axis.node_id)
-                self.outbox.append(
-                    axis.synchronous_controlword(cia402.ENABLE_OPERATION | epos2.ENABLE_IP_MODE)
-                )
+            start = cia402.ENABLE_OPERATION | epos2.ENABLE_IP_MODE
+            self._synchronous([start] * len(self.axes))
         elif self._now_us > self._fed_us + REPLY_TIMEOUT_US:
             axis = missing[0]
             self._stop_all(
@@ -557,10 +716,10 @@ class Group:
 
     def _arm(self) -> None:
         """All controlwords seen on the bus: now the SYNC that makes them count."""
-        if self._armed:
+        if self._unseen:
             if self._now_us > self._phase_us + REPLY_TIMEOUT_US:
                 self._stop_all(
-                    f"the start controlword was not seen on the bus for {len(self._armed)} axes"
+                    f"the start controlword was not seen on the bus for {len(self._unseen)} axes"
                 )
         elif self._hosts_sync and self.time.clear and self._now_us >= self._start_due_us():
             self._enter(Phase.STARTING)
@@ -576,7 +735,9 @@ class Group:
                 self._stop_all("the start SYNC was not seen on the bus")
             return
         self._feed()
-        inactive = [axis for axis in self.axes if not axis.ip_active]
+        inactive = [
+            axis for axis in self.axes if axis.active_us < self.start_us and not self._over(axis)
+        ]
         if not inactive:
             self._enter(Phase.MOVING)
             text = f"{len(self.axes)} axes started on one SYNC"
@@ -587,6 +748,11 @@ class Group:
         elif self._now_us > self.start_us + ACTIVE_TIMEOUT_US:
             names = ", ".join(f"{axis} ({axis.state.value})" for axis in inactive)
             self._stop_all(f"ip mode not active after the start SYNC: {names}")
+
+    def _over(self, axis: Axis) -> bool:
+        """Whether a drive has come to the end of its records, and has said so since."""
+        ends_us = self.zero_us(self._now_us) + 1000 * axis.account.committed_ms
+        return axis.account.ended and not axis.ip_active and axis.statusword_us > ends_us
 
     # ------------------------------------------------------------------ motion
 
@@ -629,41 +795,88 @@ class Group:
         for axis in self.axes:
             self.outbox.append(axis.controlword(cia402.ENABLE_OPERATION))
             axis.demand_qc = axis.account.last_position_qc
-        self._enter(Phase.STANDING)
         motion, self.motion = self.motion, None
-        self.events.append(Event("done", "all axes have arrived"))
+        self.events.append(Event("done", self._end.value))
         if motion:
-            motion.set_result(None)
+            motion.set_result(self._end)
+        self._stand()
 
     # ------------------------------------------------------------------ stopping and trouble
 
-    def _disarm(self, controlword: int = cia402.ENABLE_OPERATION) -> None:
-        """Take back "enable ip mode" where no SYNC has made it count yet."""
-        if self.phase is Phase.ARMING:
-            self._take_back({axis.node_id for axis in self.axes}, controlword)
-        self._armed.clear()
+    def _synchronous(self, controlwords: Sequence[int]) -> None:
+        """In the drives' synchronous RPDOs; no SYNC of ours goes out before they are on the bus."""
+        self._latched, self._unseen_us = True, self._now_us
+        for axis, controlword in zip(self.axes, controlwords, strict=True):
+            self._unseen += Counter((axis.node_id,))
+            self.outbox.append(axis.synchronous_controlword(controlword))
 
-    def _take_back(self, node_ids: Collection[int], controlword: int) -> None:
-        for axis in self.axes:
-            if axis.node_id in node_ids:
-                self.outbox.append(axis.synchronous_controlword(controlword))
+    def _take_back(self, controlword: int | None = None) -> None:
+        """Let the next SYNC bring `controlword`, if one is to bring any; None: let it change
+        nothing."""
+        if self._latched:
+            self._synchronous(
+                [
+                    _NO_CHANGE.get(axis.state, cia402.DISABLE_VOLTAGE)
+                    if controlword is None
+                    else controlword
+                    for axis in self.axes
+                ]
+            )
 
-    def _stop_all(self, reason: str, request: Future[None] | None = None) -> None:
+    def _watch_take_back(self) -> None:
+        """No SYNC goes out while a controlword is on its way, so that can't be for ever."""
+        if self._unseen and self._now_us > self._unseen_us + REPLY_TIMEOUT_US:
+            if self.phase is Phase.ARMING:
+                return  # which has words of its own
+            names = ", ".join(str(axis) for axis in self.axes if axis.node_id in self._unseen)
+            self._unseen.clear()
+            self.fail(f"a controlword was not seen on the bus for {names}")
+
+    def _cancel(self) -> None:
+        """Take back what has not begun, then empty the buffers."""
+        self._take_back()
+        self._enter(Phase.CANCELLING)
+
+    def _drop_motion(self, reason: str) -> None:
+        """A motion that has not begun, or waits for empty buffers, is not going to begin."""
+        if self._next is None and self.phase not in NOT_BEGUN:
+            return
+        self._next = None
+        motion, self.motion = self.motion, None
+        if motion:
+            text = f"cancelled before it began: {reason}"
+            self.events.append(Event("cancelled", text))
+            motion.set_exception(MotionAborted(text))
+
+    def _stop_all(self, reason: str, fault: bool = True) -> None:
         """Halt every axis that is in operation; `_finish_halt` goes on when they stand.
 
-        Without a `request` this is a fault: it takes a reset before anything moves again.
+        A fault takes a reset before anything moves again.
         """
-        self._disarm()
         self.reason = reason
-        if request is not None:
-            self._fail_request("given up: halt requested")
-            self._request = request
+        self._halt_is_fault = fault
+        if fault:
+            self._fail_requests(f"given up: {reason}")
+        self._halt_all()
+
+    def _halt_all(self) -> None:
+        """Who may be moving keeps bit 4 beside the halt, so that it brakes on its ramp."""
+        self._take_back()
+        moving = 0 if self.phase in NOT_BEGUN else epos2.ENABLE_IP_MODE
         self._enter(Phase.HALTING)
         for axis in self.axes:
             if axis.state is State.OPERATION_ENABLED:
-                self.outbox.append(
-                    axis.controlword(cia402.ENABLE_OPERATION | epos2.ENABLE_IP_MODE | cia402.HALT)
-                )
+                self.outbox.append(axis.controlword(cia402.ENABLE_OPERATION | moving | cia402.HALT))
+
+    def _quick_stop(self) -> None:
+        self._take_back(cia402.QUICK_STOP)
+        if self.phase is not Phase.FAULT:
+            self.reason = "quick stop on request"
+        self._fail_motion(self.reason)
+        self._enter(Phase.QUICK_STOPPING)
+        for axis in self.axes:
+            if axis.state is State.OPERATION_ENABLED:
+                self.outbox.append(axis.controlword(cia402.QUICK_STOP))
 
     def _finish_halt(self) -> None:
         """When all stand: clear bit 4 first, then release the halt, or motion starts again."""
@@ -678,13 +891,15 @@ class Group:
         if late:
             names = ", ".join(str(axis) for axis in late)
             self._settle_fault(f"{self.reason}; not at rest after the halt: {names}")
-        elif self._request is None:
+        elif self._halt_is_fault:
             known = self.reason in complaints
             self._settle_fault(complaints if known else f"{self.reason}; {complaints}".rstrip("; "))
         elif complaints:
             self._settle_fault(complaints)
         else:
-            self._fail_motion(self.reason)
+            if self._next is None:
+                self._fail_motion(self.reason)
+            self._moved = True
             self._clear_buffers()
 
     def _halted(self, axis: Axis) -> bool:
@@ -709,8 +924,8 @@ class Group:
             )
         ]
         if not moving:
-            self._enter(Phase.FAULT if self._complaints() else Phase.DISABLED)
-            self._grant_request()
+            self._faulted |= bool(self._complaints())
+            self._off()
         elif self._now_us > self._phase_us + STOP_TIMEOUT_US:
             self._settle_fault(
                 "quick stop: " + ", ".join(f"{axis} is in {axis.state.value}" for axis in moving)
@@ -750,24 +965,35 @@ class Group:
     def _settle_fault(self, reason: str) -> None:
         """Come to rest in the fault phase, which only somebody's request leaves."""
         self.reason = reason
-        self._disarm()
+        self._take_back()
+        self._faulted = True
         self._enter(Phase.FAULT)
         self.events.append(Event("fault", reason))
         self._fail_motion(reason)
-        self._fail_request(reason)
+        self._fail_requests(reason)
+        self._disable_if_asked()
 
     def _fail_motion(self, reason: str) -> None:
+        self._next = None
         motion, self.motion = self.motion, None
         if motion:
             self.events.append(Event("aborted", reason))
             motion.set_exception(MotionAborted(reason))
 
-    def _fail_request(self, reason: str) -> None:
-        request, self._request = self._request, None
-        if request:
+    def _fail_requests(self, reason: str) -> None:
+        requests, self._requests = self._requests, []
+        for request in requests:
             request.set_exception(DriveError(reason))
 
-    def _grant_request(self) -> None:
-        request, self._request = self._request, None
-        if request:
+    def _grant_requests(self) -> None:
+        requests, self._requests = self._requests, []
+        for request in requests:
             request.set_result(None)
+
+
+def _copy(answer: Future[None], to: Future[None]) -> None:
+    """The same answer once more."""
+    if error := answer.exception():
+        to.set_exception(error)
+    else:
+        to.set_result(None)

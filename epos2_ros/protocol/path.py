@@ -1,9 +1,11 @@
 """Which path the group follows: trajectories placed on path time, replaced, stopped.
 
 The group knows records and drives, the motion layer curves; here a trajectory's stamp meets the
-group's phase. Three cases: the axes stand (the motion begins with a start SYNC), they move (the
-new trajectory takes over at the end of what is committed to the drives), or the end is already
-committed (the new trajectory waits for it and begins from rest).
+group's phase. Three cases: the axes stand (the motion begins with a start SYNC; one that waits
+for its own is cancelled), they move (the new trajectory takes over at the end of what is
+committed to the drives), or the end is already committed (the new trajectory waits for it and
+begins from rest). Points of a stream follow one another so fast that one goes on from the other
+also before the start.
 
 Working out how to get onto a new trajectory can take longer than a short buffer lasts. So it is
 three steps: `place` and `commit` are quick, and between them `Placement.join` computes on values
@@ -16,6 +18,7 @@ from __future__ import annotations
 from concurrent.futures import Future
 from dataclasses import dataclass
 from enum import Enum
+from typing import Any
 
 from epos2_ros.config import DriverConfig
 from epos2_ros.errors import TrajectoryError
@@ -23,9 +26,10 @@ from epos2_ros.motion.join import join
 from epos2_ros.motion.limits import Limits
 from epos2_ros.motion.reference import Reference
 from epos2_ros.motion.stop import stop
+from epos2_ros.motion.stream import Stream, is_streamed
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.motion.units import AxisUnits
-from epos2_ros.protocol.group import IN_MOTION, Group, Phase
+from epos2_ros.protocol.group import IN_MOTION, NOT_BEGUN, End, Group, Phase
 
 LATE_START_US = 50_000.0  # a trajectory joined midway from rest starts so much after its message
 
@@ -49,6 +53,7 @@ class Placement:
     at_ms: int
     start_ms: int
     planned_start_us: float | None  # of the start SYNC
+    standing_qc: tuple[int | None, ...]  # where the drives hold, when it begins from rest
     limits: Limits
     start_tolerance: float
     allow_partial: bool
@@ -100,7 +105,7 @@ class PathCommander:
                 TrajectoryError.OLD_HEADER_TIMESTAMP,
             )
         group, feeder = self._group, self._group.feeder
-        if group.phase is Phase.STANDING:
+        if group.standing and not self._streams_on(trajectory):
             return self._from_rest(trajectory, stamp_us, now_us)
         if group.phase not in IN_MOTION or feeder.reference is None:
             raise TrajectoryError(f"can't move: the drives are {group.describe_phase()}")
@@ -124,7 +129,7 @@ class PathCommander:
         group, feeder = self._group, self._group.feeder
         match placement.way:
             case Way.BEGIN:
-                if group.phase is not Phase.STANDING:
+                if not group.standing or placement.standing_qc != self._standing_qc():
                     return False
                 group.begin(reference, placement.planned_start_us)
             case Way.TAKE_OVER:
@@ -132,33 +137,46 @@ class PathCommander:
                     return False
                 if feeder.ending or feeder.committed_ms > placement.at_ms:
                     return False
-                feeder.replace(reference)
+                group.replace(reference)
             case Way.WAIT:
                 if group.phase not in IN_MOTION:
                     return False
+                self._drop_waiting("another trajectory came before it began")
                 self._waiting = placement
         return True
 
-    def stop(self) -> Future[None] | None:
-        """Slow down along the path from the end of what is committed; None if nothing moves."""
-        self._waiting = None
+    def stop(self) -> Future[Any] | None:
+        """Slow down along the path from the end of what is committed; None if nothing moves.
+
+        What has not begun does not begin. The future ends when the axes are at rest.
+        """
+        self._drop_waiting("stopped on request")
         group, feeder = self._group, self._group.feeder
-        if group.phase not in IN_MOTION or feeder.reference is None:
-            return None
-        if not feeder.ending:
-            feeder.replace(stop(feeder.reference, feeder.committed_ms, self._limits))
+        if not group.moving:
+            return group.cancel("stopped on request") if group.motion else None
+        if not feeder.ending and feeder.reference is not None:
+            path = stop(feeder.reference, feeder.committed_ms, self._limits)
+            group.replace(path, End.STOPPED)
         return group.motion
+
+    def disable(self) -> Future[None]:
+        """Stop on the path, then switch all axes off."""
+        self.stop()
+        return self._group.disable()
 
     def advance(self, now_us: float) -> None:
         """Begin what waits for the axes to stand."""
-        if self._waiting is None or self._group.phase in IN_MOTION:
+        phase = self._group.phase
+        if self._waiting is None or phase in IN_MOTION:
+            return
+        if phase is not Phase.STANDING:
+            self._drop_waiting(self._group.describe_phase())
             return
         waiting, self._waiting = self._waiting, None
-        if self._group.phase is Phase.STANDING:
-            try:
-                self.submit(waiting.trajectory, waiting.stamp_us, now_us)
-            except TrajectoryError as error:
-                self._group.announce("aborted", str(error))
+        try:
+            self.submit(waiting.trajectory, waiting.stamp_us, now_us)
+        except TrajectoryError as error:
+            self._group.announce("aborted", str(error))
 
     def _from_rest(
         self, trajectory: Trajectory, stamp_us: float | None, now_us: float
@@ -169,11 +187,30 @@ class PathCommander:
             planned_start_us = now_us + LATE_START_US
             start_ms = round((stamp_us - planned_start_us) / 1000)
         here = [
-            unit.from_qc(float(axis.demand_qc or 0))
-            for unit, axis in zip(self._units, self._group.axes, strict=True)
+            unit.from_qc(float(demand_qc or 0))
+            for unit, demand_qc in zip(self._units, self._standing_qc(), strict=True)
         ]
         rest = Reference.at_rest(self._units, here)
         return self._placement(Way.BEGIN, trajectory, stamp_us, rest, 0, start_ms, planned_start_us)
+
+    def _standing_qc(self) -> tuple[int | None, ...]:
+        return tuple(axis.demand_qc for axis in self._group.axes)
+
+    def _streams_on(self, trajectory: Trajectory) -> bool:
+        """Whether it is the next point of a stream whose first has not begun to move."""
+        reference = self._group.feeder.reference
+        return (
+            self._group.phase in NOT_BEGUN
+            and is_streamed(trajectory)
+            and reference is not None
+            and isinstance(reference.motions[-1], Stream)
+        )
+
+    def _drop_waiting(self, reason: str) -> None:
+        """What waits for the end of the motion in progress is not going to begin."""
+        waiting, self._waiting = self._waiting, None
+        if waiting is not None:
+            self._group.announce("cancelled", f"cancelled before it began: {reason}")
 
     def _placement(
         self,
@@ -193,6 +230,7 @@ class PathCommander:
             at_ms,
             start_ms,
             planned_start_us,
+            self._standing_qc(),
             self._limits,
             self._config.start_tolerance,
             self._config.allow_partial_joints_goal,
