@@ -8,6 +8,7 @@ import sys
 PROGRAMS = {
     "driver": ("epos2_ros.node.driver", "the driver node (ROS arguments: --ros-args …)"),
     "simulator": ("epos2_ros.sim.main", "simulated drives on any python-can bus"),
+    "scan": ("epos2_ros.commission.scan", "who is on a bus, and what is odd; changes nothing"),
     "plan": ("epos2_ros.plan", "a trajectory file as PVT records, errors and bus load; no bus"),
     "demo": ("epos2_ros.demo", "driver and simulated drives run a trajectory, with a report"),
 }

@@ -147,7 +147,7 @@ class Link:
         try:
             self._bus.send(message)
         except can.CanOperationError as error:
-            if error.error_code not in _QUEUE_FULL and "buffer full" not in str(error).lower():
+            if not queue_is_full(error):
                 self._post(partial(self._fail, f"can't send: {error}"))
             return False
         return True
@@ -231,6 +231,11 @@ class Link:
             self._receiver.join()
             with suppress(can.CanError, OSError):  # what is gone can't be told to close
                 self._bus.shutdown()
+
+
+def queue_is_full(error: can.CanOperationError) -> bool:
+    """Whether the adapter has refused a frame only because it has taken too many already."""
+    return error.error_code in _QUEUE_FULL or "buffer full" in str(error).lower()
 
 
 def open_bus(interface: str, channel: str, bitrate: int, echoes: bool = True) -> can.BusABC:

@@ -18,6 +18,9 @@ _END = re.compile(rb"[\r\a]")  # of a line: done, refused (LAWICEL AB, CANUSB ma
 class SlcanBus(slcanBus):
     """As `slcanBus`."""
 
+    # S7 is 800 kbit/s by the manual, of which python-can makes 750
+    _BITRATES = {**slcanBus._BITRATES, 800_000: "S7"}
+
     def _read(self, timeout: float | None) -> str | None:
         """The next line with its end; None if none has come in time (`None`: without limit)."""
         until = None if timeout is None else time.monotonic() + timeout

@@ -201,6 +201,7 @@ class Machine:
             raise Epos2RosError("--two-processes needs the same counts_per_turn on every axis")
         arguments = {
             "--nodes": ",".join(str(scale.node_id) for scale in epos2),
+            "--bitrate": str(self.parameters.get("can.bitrate", 1_000_000)),
             "--counts-per-turn": str(counts.pop()),
             "--drift-ppm": str(self.parameters.get("simulation.drift_ppm", 0.0)),
             "--seed": str(self.parameters.get("simulation.seed", 0)),

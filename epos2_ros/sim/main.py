@@ -121,7 +121,7 @@ def _arguments(argv: list[str]) -> argparse.Namespace:
 def _open_bus(arguments: argparse.Namespace) -> can.BusABC:
     """Raises `ConfigurationError`."""
     if arguments.slcan:
-        return SlcanAdapter()
+        return SlcanAdapter(arguments.bitrate)
     try:
         bus = can.Bus(
             interface=arguments.interface,

@@ -25,7 +25,9 @@ _LONGEST_COMMAND = 32
 class SlcanAdapter(can.BusABC):
     """Frames from the terminal come out of `recv`, frames given to `send` go to the terminal."""
 
-    def __init__(self) -> None:
+    def __init__(self, bus_bitrate: int | None = None) -> None:
+        """`bus_bitrate` [bit/s]: an adapter at another one hears nothing; None: at any."""
+        self._bus_bitrate = bus_bitrate
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)  # kept open, so that the terminal outlives its users
         os.set_blocking(self._master, False)
@@ -40,7 +42,7 @@ class SlcanAdapter(can.BusABC):
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """A frame from the bus. Raises `CanOperationError` while nobody reads the terminal."""
-        if not self._open:
+        if not self._open or not self._in_tune:
             return  # a closed adapter hears nothing
         line = f"{'r' if msg.is_remote_frame else 't'}{msg.arbitration_id:03X}{msg.dlc}"
         if not msg.is_remote_frame:
@@ -81,12 +83,17 @@ class SlcanAdapter(can.BusABC):
     def _command(self, line: str) -> can.Message | None:
         message = None
         if line[:1] in ("t", "T", "r", "R"):
-            message = self._parse(line) if self._open and not self._listen_only else None
+            sends = self._open and self._in_tune and not self._listen_only
+            message = self._parse(line) if sends else None
             answer = (b"z\r" if line[0] in "tr" else b"Z\r") if message else ERROR
         else:
             answer = self._set_up(line)
         self._write(answer)
         return message
+
+    @property
+    def _in_tune(self) -> bool:
+        return self._bus_bitrate is None or (self.bitrate or 0) * 1000 == self._bus_bitrate
 
     def _set_up(self, line: str) -> bytes:
         """Everything but frames."""
