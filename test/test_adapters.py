@@ -97,12 +97,14 @@ def test_slcan_pulled_out_and_plugged_in_again(port: Port) -> None:
         assert_log_ends_at(port.pull_out(), TARGET_M)
         snapshot = made.wait(lambda snapshot: snapshot.state == "fault")
         assert f"slcan:{port.path} can't " in snapshot.reason
+        assert all(axis.silent_s > 0 for axis in snapshot.axes)
         with pytest.raises(BusError, match="can't open CAN interface 'slcan'"):
             made.driver.reset_fault()
         port.plug_in()
         made.driver.reset_fault()
         made.driver.enable()
         assert made.snapshot().axes[0].position == 0.0  # not the old drives
+        assert not any(axis.silent_s for axis in made.snapshot().axes)
         assert_moves(made)
 
 

@@ -46,7 +46,7 @@ from epos2_ros.protocol.group import Event
 from epos2_ros.protocol.outputs import OutputEvent, Tally
 
 WAIT_S = 20.0  # for something that must happen; reached only when it does not
-LOG_LINE = re.compile(r"\[(\w+)\] \[[\d.]+\] \[epos2_driver\]: (.*)")
+LOG_LINE = re.compile(r"\[(\w+)\] \[[\d.]+\] \[(?:[\w.]+\.)?epos2_driver\]: (.*)")
 
 
 def axis_snapshot(joint: str, node_id: int, **values: Any) -> AxisSnapshot:
@@ -183,7 +183,7 @@ class World:
         with self.stderr.open("ab") as file:
             os.dup2(file.fileno(), 2)
 
-    def start(self, **parameters: Any) -> DriverNode:
+    def start(self, namespace: str = "", **parameters: Any) -> DriverNode:
         self._redirect_stderr()
 
         def make(config: DriverConfig, *listeners: Any) -> Any:
@@ -193,7 +193,9 @@ class World:
             return driver
 
         overrides = [Parameter(n.replace("__", "."), value=v) for n, v in parameters.items()]
-        self.node = DriverNode(make, context=self.context, parameter_overrides=overrides)
+        self.node = DriverNode(
+            make, context=self.context, parameter_overrides=overrides, namespace=namespace
+        )
         self._executors[1].add_node(self.node)
         self._spin(self._executors[1])
         return self.node
@@ -584,6 +586,9 @@ STATUS_BITS = {
 }
 
 
+IP_MODE_ACTIVE = 1 << STATUS_BITS["ip_mode_active"]
+
+
 def buffer_values(status_word: int, **values: Any) -> tuple[DiagnosticStatus, dict[str, str]]:
     axis = axis_snapshot("a", 3, status_word=status_word, **values)
     (status,) = messages.buffer_status(snapshot_of(axis), "can0", Time()).status
@@ -592,9 +597,9 @@ def buffer_values(status_word: int, **values: Any) -> tuple[DiagnosticStatus, di
 
 @pytest.mark.parametrize("flag", STATUS_BITS)
 def test_each_flag_of_the_buffer_status_word_is_a_key(flag):
-    status, values = buffer_values(1 << STATUS_BITS[flag])
+    status, values = buffer_values(1 << STATUS_BITS[flag] | IP_MODE_ACTIVE)
     assert {name: values[name] for name in STATUS_BITS} == {
-        name: "true" if name == flag else "false" for name in STATUS_BITS
+        name: "true" if name in (flag, "ip_mode_active") else "false" for name in STATUS_BITS
     }
     if flag.endswith("error"):
         assert (status.level, status.message) == (DiagnosticStatus.ERROR, flag.replace("_", " "))
@@ -607,6 +612,68 @@ def test_each_flag_of_the_buffer_status_word_is_a_key(flag):
 def test_the_worst_flag_speaks():
     status, _ = buffer_values(0x8000 | 0x0001 | 0x0400)
     assert (status.level, status.message) == (DiagnosticStatus.ERROR, "velocity error")
+
+
+def test_a_standing_axis_that_has_no_records_is_no_warning():
+    status, values = buffer_values(0x4001)
+    assert (status.level, status.message) == (DiagnosticStatus.OK, "ok")
+    assert values["underflow_warning"] == "true"  # it says so all the same
+    assert values["ip_mode_active"] == "false"
+    status, _ = buffer_values(0x4101)
+    assert (status.level, status.message) == (DiagnosticStatus.ERROR, "underflow error")
+
+
+def test_what_is_not_heard_is_stale():
+    silent = axis_snapshot("a", 3, silent_s=7.2)
+    (buffer,) = messages.buffer_status(snapshot_of(silent), "can0", Time()).status
+    drive = messages.diagnostics(snapshot_of(silent), "n", "can0", Time(), ClockLimits()).status[0]
+    for status in (buffer, drive):
+        assert status.level == DiagnosticStatus.STALE
+        assert status.message == "not heard any more; it was: operation enabled"
+    values = {value.key: value.value for value in drive.values}
+    assert (values["state"], values["not heard for [s]"]) == ("unknown", "7")
+
+
+def test_joint_states_are_of_those_that_are_heard(world):
+    driver = world.started()
+    states = world.listen(JointState, "/joint_states")
+    world.wait(lambda: states and list(states[-1].name) == ["a", "b"])
+    now_us = time.monotonic_ns() / 1e3
+    driver.current = snapshot_of(
+        axis_snapshot("a", 1, stamp_us=now_us, silent_s=2.0),
+        axis_snapshot("b", 2, stamp_us=now_us - 5e6),
+    )
+    world.wait(lambda: list(states[-1].name) == ["b"])
+    stamp = states[-1].header.stamp
+    assert time.time() - stamp.sec - stamp.nanosec * 1e-9 > 4.5  # b's own, not a's
+    driver.current = snapshot_of(axis_snapshot("a", 1, silent_s=2.0))
+    time.sleep(0.1)  # those on their way
+    count = len(states)
+    time.sleep(0.3)
+    assert len(states) == count
+
+
+def test_without_a_namespace_names_are_short(world):
+    world.started()
+    array = world.listen(DiagnosticArray, "/diagnostics")
+    world.wait(lambda: array)
+    names = {status.name for status in array[-1].status}
+    ids = {status.hardware_id for status in array[-1].status}
+    assert (names, ids) == (
+        {"epos2_driver: a", "epos2_driver: b", "epos2_driver: bus"},
+        {"epos2", "epos2/1", "epos2/2"},
+    )
+
+
+def test_in_a_namespace_diagnostics_say_which(world):
+    world.start(namespace="/robot1", joints=["a"])
+    world.logged("active: ")
+    array = world.listen(DiagnosticArray, "/diagnostics")
+    world.wait(lambda: array)
+    assert [(status.name, status.hardware_id) for status in array[-1].status] == [
+        ("robot1/epos2_driver: a", "robot1/epos2/1"),
+        ("robot1/epos2_driver: bus", "robot1/epos2"),
+    ]
 
 
 def test_buffer_status_has_the_numbers():

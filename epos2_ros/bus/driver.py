@@ -47,7 +47,7 @@ from epos2_ros.motion.units import AxisUnits
 from epos2_ros.protocol.clock import time_of_day
 from epos2_ros.protocol.epos2 import BUFFER_SIZE
 from epos2_ros.protocol.frame import Frame
-from epos2_ros.protocol.group import IN_MOTION, Event, Group, Phase
+from epos2_ros.protocol.group import IN_MOTION, SILENCE_TIMEOUT_US, Event, Group, Phase
 from epos2_ros.protocol.outputs import OutputEvent
 from epos2_ros.protocol.path import PathCommander, Placement
 from epos2_ros.protocol.profile_axes import IN_MOTION as IN_PROFILE_MOTION
@@ -410,7 +410,14 @@ class Driver:
             clock_drift_ppm=1e6 * float(clock.drift[index]),
             executed_qc=axis.demand_qc,
             records_sent=axis.account.sent,
+            silent_s=self._silent_s(axis.heard_us),
         )
+
+    def _silent_s(self, heard_us: float) -> float:
+        """How long a drive has not been heard, if that is longer than it may be."""
+        silent_us = now_us() - heard_us
+        lost = self._link is None or self._link.failed or silent_us > SILENCE_TIMEOUT_US
+        return silent_us / 1e6 if lost else 0.0
 
     def _state(self) -> tuple[str, str]:
         """Of all axes: what is wrong with some of them comes first."""
@@ -454,6 +461,7 @@ class Driver:
                     clock_drift_ppm=None,
                     executed_qc=axis.position_qc,
                     records_sent=0,
+                    silent_s=self._silent_s(axis.heard_us),
                 )
             )
         return snapshots
@@ -484,7 +492,8 @@ class Driver:
 
     def _on_failure(self, text: str) -> None:
         self._group.bus_failed(text)
-        self._copley.protocol.bus_failed(text)
+        if self._copley.protocol.axes:
+            self._copley.protocol.bus_failed(text)
 
     def _step(self) -> float:
         """What is due, in the reactor; when it is to be called next [host µs]."""

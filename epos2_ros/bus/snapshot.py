@@ -31,6 +31,7 @@ class AxisSnapshot:
     clock_drift_ppm: float | None
     executed_qc: int | None  # position demand at the last SYNC
     records_sent: int
+    silent_s: float = 0.0  # not heard for so long; 0 as long as it is heard
 
 
 class OutputSnapshot(NamedTuple):

@@ -152,7 +152,9 @@ class DriverNode(LifecycleNode):
         # process for 70 ms now and then, the one that feeds the drives, too.
         gc.collect()
         gc.freeze()
-        self._driver, self._channel = driver, config.channel
+        self._driver = driver
+        namespace, channel = self.get_namespace().strip("/"), config.channel
+        self._channel = f"{namespace}/{channel.lstrip('/')}" if namespace else channel
         self._clock_limits = config.clock_limits
         self._topic_timers = [
             self.create_timer(period, publish, self._topics_group, clock=self._steady)
@@ -278,11 +280,11 @@ class DriverNode(LifecycleNode):
 
     def _publish_joint_states(self) -> None:
         if (driver := self._driver) is not None:
-            snapshot = driver.snapshot()
-            newest_us = max(axis.stamp_us for axis in snapshot.axes)
+            heard = [axis for axis in driver.snapshot().axes if not axis.silent_s]
+            newest_us = max((axis.stamp_us for axis in heard), default=-math.inf)
             if math.isfinite(newest_us):  # before the first sample there is no state
                 stamp = self._ros_time(newest_us)
-                self._joint_states.publish(messages.joint_state(snapshot, stamp))
+                self._joint_states.publish(messages.joint_state(heard, stamp))
 
     def _publish_buffer_status(self) -> None:
         if (driver := self._driver) is not None:
@@ -294,7 +296,7 @@ class DriverNode(LifecycleNode):
         if (driver := self._driver) is not None:
             snapshot = driver.snapshot()
             stamp = self.get_clock().now().to_msg()
-            name = self.get_name()
+            name = self.get_fully_qualified_name().lstrip("/")
             self._diagnostics.publish(
                 messages.diagnostics(snapshot, name, self._channel, stamp, self._clock_limits)
             )

@@ -1,7 +1,9 @@
 """What the driver knows, as ROS messages. Pure functions of a snapshot and a stamp.
 
 Layouts: `sensor_msgs/JointState` as joint_state_broadcaster fills it, `diagnostic_msgs` as
-diagnostic_updater does: `name` is "node: part", `hardware_id` is "channel/node id".
+diagnostic_updater does: `name` is "node: part", `hardware_id` is "channel/node id", both with the
+node's namespace before them if it has one. What is not heard has no state: it is STALE, and not in
+the joint states.
 """
 
 from __future__ import annotations
@@ -21,16 +23,18 @@ if TYPE_CHECKING:
     from epos2_ros.protocol.outputs import OutputEvent
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+STALE = DiagnosticStatus.STALE
 
 
-def joint_state(snapshot: Snapshot, stamp: Time) -> JointState:
-    """Position [rad or m], velocity [per second] and motor current [A], in axis order."""
+def joint_state(axes: Iterable[AxisSnapshot], stamp: Time) -> JointState:
+    """Position [rad or m], velocity [per second] and motor current [A] of these axes."""
+    axes = list(axes)
     message = JointState()
     message.header.stamp = stamp
-    message.name = [axis.joint for axis in snapshot.axes]
-    message.position = [axis.position for axis in snapshot.axes]
-    message.velocity = [axis.velocity for axis in snapshot.axes]
-    message.effort = [axis.effort for axis in snapshot.axes]
+    message.name = [axis.joint for axis in axes]
+    message.position = [axis.position for axis in axes]
+    message.velocity = [axis.velocity for axis in axes]
+    message.effort = [axis.effort for axis in axes]
     return message
 
 
@@ -58,12 +62,16 @@ def diagnostics(
 def _buffer_of(axis: AxisSnapshot, channel: str) -> DiagnosticStatus:
     flags = {name: bool(axis.status_word & bit) for name, bit in BufferStatus.FLAGS.items()}
     errors = [name for name, on in flags.items() if on and name.endswith("_error")]
-    warnings = [name for name, on in flags.items() if on and name.endswith("_warning")]
-    worst = (errors + warnings + ["ok"])[0]
+    # An axis that stands has no records to run out of, and says so for ever.
+    active = flags["ip_mode_active"]
+    warnings = [name for name, on in flags.items() if active and on and name.endswith("_warning")]
+    level, message = ERROR if errors else WARN if warnings else OK, (*errors, *warnings, "ok")[0]
+    if axis.silent_s:
+        level, message = STALE, _not_heard(axis)
     return DiagnosticStatus(
-        level=ERROR if errors else WARN if warnings else OK,
+        level=level,
         name=axis.joint,
-        message=worst.replace("_", " "),
+        message=message.replace("_", " "),
         hardware_id=f"{channel}/{axis.node_id}",
         values=_values(
             {
@@ -80,7 +88,9 @@ def _buffer_of(axis: AxisSnapshot, channel: str) -> DiagnosticStatus:
 
 
 def _drive_of(axis: AxisSnapshot, node: str, channel: str, limits: ClockLimits) -> DiagnosticStatus:
-    if axis.state in ("fault", "fault reaction active"):
+    if axis.silent_s:
+        level, message = STALE, _not_heard(axis)
+    elif axis.state in ("fault", "fault reaction active"):
         level, message = ERROR, axis.fault or axis.state
     else:
         level, message = OK if axis.state == "operation enabled" else WARN, axis.state
@@ -99,12 +109,17 @@ def _drive_of(axis: AxisSnapshot, node: str, channel: str, limits: ClockLimits) 
         hardware_id=f"{channel}/{axis.node_id}",
         values=_values(
             {
-                "state": axis.state,
+                "state": "unknown" if axis.silent_s else axis.state,
                 "last emergency": axis.fault or "none",
+                "not heard for [s]": f"{axis.silent_s:.0f}",
                 **{name: text for name, text in clock_and_error.items() if text},
             }
         ),
     )
+
+
+def _not_heard(axis: AxisSnapshot) -> str:
+    return f"not heard any more; it was: {axis.state}"
 
 
 def _clock_of(axis: AxisSnapshot, limits: ClockLimits) -> tuple[bytes, str]:
