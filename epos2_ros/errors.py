@@ -38,3 +38,7 @@ class DriveError(Epos2RosError):
 
 class MotionAborted(Epos2RosError):
     """A motion in progress was stopped; the message says by whom and why."""
+
+
+class MotionStopped(MotionAborted):
+    """It was stopped on its path, cancelled before it began, or replaced by another."""

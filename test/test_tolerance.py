@@ -10,12 +10,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from epos2_ros.config import AxisConfig, DriverConfig
+from epos2_ros.config import AxisConfig
+from epos2_ros.motion.reference import State
 from epos2_ros.motion.tolerance import JointTolerance, Tolerances
 
 JOINTS = ("a", "b", "slide")
 PARAMETERS = {"a": (0.1, 0.02), "b": (0.0, 0.0), "slide": (0.003, 0.001)}
 STILL = np.zeros(3)
+
+
+def resting(position: np.ndarray) -> State:
+    return State(position, STILL, STILL)
 
 
 def configured(goal_time: float = 1.0) -> Tolerances:
@@ -30,7 +35,7 @@ def configured(goal_time: float = 1.0) -> Tolerances:
         )
         for n, joint in enumerate(JOINTS, start=1)
     )
-    return Tolerances.of(DriverConfig(axes=axes, goal_time=goal_time))
+    return Tolerances.of(axes, goal_time)
 
 
 value = st.one_of(
@@ -71,11 +76,13 @@ def test_a_goal_time_of_zero_is_no_limit():
     limit=st.floats(1e-3, 1.0),
 )
 def test_a_violation_names_the_joint_that_is_worst(error, speed, limit):
-    bounds = configured().overridden(
-        [JointTolerance("a", limit), JointTolerance("b", -1.0, 0.5)], [], 0.0
-    )[0].path
+    bounds = (
+        configured()
+        .overridden([JointTolerance("a", limit), JointTolerance("b", -1.0, 0.5)], [], 0.0)[0]
+        .path
+    )
     desired = np.array([0.25, -1.0, 0.1])
-    words = bounds.violation(desired, STILL, desired + error, np.array(speed))
+    words = bounds.violation(resting(desired), desired + error, np.array(speed))
     # As the difference of what is measured and desired, rounded as numbers are.
     off = np.abs(desired + error - desired)
     excess = {
@@ -93,14 +100,14 @@ def test_a_violation_names_the_joint_that_is_worst(error, speed, limit):
 def test_the_words_say_by_how_much_and_whose_limit_it_is():
     tolerances, _ = configured().overridden([JointTolerance("a", 0.05)], [], 0.0)
     desired, measured = np.array([1.0, 0.0, 0.2]), np.array([1.06, 0.0, 0.2])
-    assert tolerances.path.violation(desired, STILL, measured, STILL) == (
+    assert tolerances.path.violation(resting(desired), measured, STILL) == (
         "joint 'a': position 1.06 rad is 0.06 rad away from 1, allowed 0.05 (path_tolerance)"
     )
-    assert tolerances.goal.violation(desired, STILL, desired + [0, 0, 0.002], STILL) == (
+    assert tolerances.goal.violation(resting(desired), desired + [0, 0, 0.002], STILL) == (
         "joint 'slide': position 0.202 m is 0.002 m away from 0.2, allowed 0.001 "
         "(constraints.slide.goal)"
     )
-    assert not tolerances.path.violation(desired, STILL, np.full(3, math.nan), STILL)
+    assert not tolerances.path.violation(resting(desired), np.full(3, math.nan), STILL)
 
 
 def test_what_no_drive_measures_is_said():

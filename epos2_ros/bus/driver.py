@@ -27,12 +27,13 @@ from epos2_ros.bus.settings import axis_setup, drive_settings, group_settings
 from epos2_ros.bus.simulation import Simulation
 from epos2_ros.bus.snapshot import AxisSnapshot, OutputSnapshot, Snapshot
 from epos2_ros.bus.timestamps import now_us, wall_offset_us
+from epos2_ros.bus.tracking import Tracking, tracked
 from epos2_ros.bus.worker import Worker
 from epos2_ros.buslog import inputs
 from epos2_ros.buslog.plain import to_plain
 from epos2_ros.buslog.writer import LogWriter
 from epos2_ros.compare_config import CompareConfig
-from epos2_ros.config import DriverConfig
+from epos2_ros.config import AxisConfig, DriverConfig
 from epos2_ros.errors import (
     ConfigurationError,
     DriveError,
@@ -46,10 +47,11 @@ from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.motion.units import AxisUnits
 from epos2_ros.protocol.clock import time_of_day
 from epos2_ros.protocol.epos2 import BUFFER_SIZE
+from epos2_ros.protocol.execution import Execution
 from epos2_ros.protocol.frame import Frame
 from epos2_ros.protocol.group import IN_MOTION, SILENCE_TIMEOUT_US, Event, Group, Phase
 from epos2_ros.protocol.outputs import OutputEvent
-from epos2_ros.protocol.path import PathCommander, Placement
+from epos2_ros.protocol.path import PathCommander, Placement, refuse_ended
 from epos2_ros.protocol.profile_axes import IN_MOTION as IN_PROFILE_MOTION
 from epos2_ros.protocol.profile_axes import Phase as ProfilePhase
 from epos2_ros.protocol.timekeeper import HOST_NODE_ID, Timekeeper
@@ -261,15 +263,25 @@ class Driver:
             self._wait(off, "disable")
         self._wait_for("disable", profile.disable)
 
-    def submit(self, trajectory: Trajectory) -> None:
+    @property
+    def trajectory_axes(self) -> tuple[AxisConfig, ...]:
+        """Those that follow trajectories."""
+        return self._config.axes
+
+    def check(self, trajectory: Trajectory) -> None:
+        """TrajectoryError for what can't be meant: its joints, or an end in the past."""
+        refuse_trajectory(self._copley.configs, trajectory.joint_names)
+        joints = [axis.joint for axis in self._config.axes]
+        trajectory.axes(joints, self._config.allow_partial_joints_goal)
+        refuse_ended(trajectory, _start_us(trajectory), now_us())
+
+    def submit(self, trajectory: Trajectory) -> Execution | None:
         """Run a trajectory, or stop on the path if it has no points. TrajectoryError: refused."""
         refuse_trajectory(self._copley.configs, trajectory.joint_names)
         if not len(trajectory.times_s):
             self._reactor.call(self._stop_path)
-            return
-        start_us = None
-        if trajectory.stamp_s:
-            start_us = trajectory.stamp_s * 1e6 + wall_offset_us()
+            return None
+        start_us, execution = _start_us(trajectory), Execution()
         lead_ms, stops = 0, self._stops
         while True:
             begun_us = now_us()
@@ -281,9 +293,19 @@ class Driver:
             except TrajectoryError as error:
                 self._note("refused", str(error))
                 raise
-            if self._reactor.call(partial(self._commit, placement, reference, stops)):
-                return
+            if self._reactor.call(partial(self._commit, placement, reference, execution, stops)):
+                return execution
             lead_ms = round((now_us() - begun_us) / 500)  # twice as long as it took
+
+    def cancel(self, execution: Execution, reason: str) -> None:
+        """Stop on the path, if it is this trajectory that the axes follow or wait for."""
+        self._reactor.call(lambda: self._cancel(execution, reason))
+
+    def track(self) -> Tracking:
+        """What the axes that follow trajectories are to do, and do."""
+        return self._reactor.call(
+            lambda: tracked(self._group, self._path, self._units, self._config, now_us())
+        )
 
     def move_to(self, targets: Mapping[str, float], duration_s: float = 0.0) -> None:
         """Axes in profile position mode to positions [unit], leaving and arriving together.
@@ -556,12 +578,18 @@ class Driver:
             raise TrajectoryError(f"can't move: the drives are {self._group.describe_phase()}")
         self._copley.move_to(targets, duration_s)
 
-    def _commit(self, placement: Placement, reference: Reference, stops: int) -> bool:
+    def _cancel(self, execution: Execution, reason: str) -> None:
+        self._path.cancel(execution, reason)
+        self._predictor.watch(now_us())
+
+    def _commit(
+        self, placement: Placement, reference: Reference, execution: Execution, stops: int
+    ) -> bool:
         if stops != self._stops:
             raise TrajectoryError("the axes were stopped while it was worked out")
         if self._copley.protocol.phase is ProfilePhase.FAULT:
             raise TrajectoryError(f"can't move: {self._copley.protocol.reason}")
-        done = self._path.commit(placement, reference)
+        done = self._path.commit(placement, reference, execution)
         self._predictor.watch(now_us())
         return done
 
@@ -578,3 +606,8 @@ class Driver:
         except DriveError as refusal:
             error = str(refusal)
         self._reactor.post(lambda: self._group.buffer_cleared(index, error))
+
+
+def _start_us(trajectory: Trajectory) -> float | None:
+    """When its own zero is [host µs]; None: as soon as possible."""
+    return trajectory.stamp_s * 1e6 + wall_offset_us() if trajectory.stamp_s else None

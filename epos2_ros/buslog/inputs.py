@@ -24,6 +24,7 @@ from epos2_ros.protocol.group import Group
 from epos2_ros.protocol.path import PathCommander, Placement
 
 REQUESTS = ("enable", "disable", "halt", "quick_stop", "reset_fault")
+STOPS = ("stop", "drop_waiting")
 REPORTS = ("start_clock", "reconfigured", "fail", "bus_failed", "buffer_cleared")
 POINTS_PER_LINE = 50  # so few that making a line keeps no other thread waiting
 PLACEMENTS_KEPT = 16  # between being worked out and being committed
@@ -59,7 +60,8 @@ class _Recorder:
         self._watch(path, "advance", lambda arguments, result: None)
         self._watch(path, "place", self._note_placement)
         self._watch(path, "commit", self._note_commit)
-        self._watch(path, "stop", self._noting("stop"))
+        for name in STOPS:
+            self._watch(path, name, self._noting(name))
 
     def _watch(self, target: object, name: str, note: Note) -> None:
         method = getattr(target, name)
@@ -176,8 +178,8 @@ class Repeater:
             return self._place(*data)
         elif name == "commit":
             return self._commit(*data)
-        elif name == "stop":
-            self._path.stop()
+        elif name in STOPS:
+            getattr(self._path, name)(*(data or ()))
         return ""
 
     def _gather(self, piece: dict[str, Any]) -> None:

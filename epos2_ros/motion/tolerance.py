@@ -15,7 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from epos2_ros.config import AxisConfig, DriverConfig
+from epos2_ros.config import AxisConfig
+from epos2_ros.motion.reference import State
 from epos2_ros.motion.units import AxisUnits
 
 Array = NDArray[np.float64]
@@ -81,28 +82,27 @@ class Bounds:
 
     @property
     def any(self) -> bool:
-        """Whether there is anything to watch."""
+        """Whether anything is bounded."""
         return bool(np.isfinite([self.position, self.velocity]).any())
 
-    def violation(
-        self, position: Array, velocity: Array, measured: Array, measured_velocity: Array
-    ) -> str:
+    def violation(self, desired: State, position: Array, velocity: Array) -> str:
         """The worst of what is too far from where it should be, in words, or "".
 
-        All are [axes] in joint units. What a drive has not measured (NaN) is not too far.
+        `position` and `velocity` are measured, [axes] in joint units. What a drive has not
+        measured (NaN) is not too far.
         """
         limits = np.array([self.position, self.velocity])
-        errors = np.abs([measured - position, measured_velocity - velocity])
+        errors = np.abs([position - desired.position, velocity - desired.velocity])
         with np.errstate(invalid="ignore"):
             beyond = np.nan_to_num(errors / limits, nan=0.0)
         row, axis = np.unravel_index(np.argmax(beyond), beyond.shape)
         if not errors[row, axis] > limits[row, axis]:
             return ""
         joint, unit = self.joints[axis], self.units[axis] + ("/s" if row else "")
-        is_at, should = ((measured, position), (measured_velocity, velocity))[row]
+        measured, should = ((position, desired.position), (velocity, desired.velocity))[row]
         source = self.field if self.given[row, axis] else f"constraints.{joint}.{self.parameter}"
         return (
-            f"joint '{joint}': {'velocity' if row else 'position'} {is_at[axis]:.6g} {unit} is "
+            f"joint '{joint}': {'velocity' if row else 'position'} {measured[axis]:.6g} {unit} is "
             f"{errors[row, axis]:.4g} {unit} away from {should[axis]:.6g}, allowed "
             f"{limits[row, axis]:g} ({source})"
         )
@@ -117,12 +117,12 @@ class Tolerances:
     goal_time_s: float
 
     @classmethod
-    def of(cls, config: DriverConfig) -> Tolerances:
-        """What the parameters say."""
+    def of(cls, axes: Sequence[AxisConfig], goal_time_s: float) -> Tolerances:
+        """What the parameters say; a goal time of 0 is no limit."""
         return cls(
-            Bounds.of(config.axes, "path_tolerance", "trajectory"),
-            Bounds.of(config.axes, "goal_tolerance", "goal"),
-            config.goal_time or math.inf,
+            Bounds.of(axes, "path_tolerance", "trajectory"),
+            Bounds.of(axes, "goal_tolerance", "goal"),
+            goal_time_s or math.inf,
         )
 
     def overridden(

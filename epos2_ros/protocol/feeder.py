@@ -26,6 +26,8 @@ STREAM_AHEAD_MS = 50.0
 """Streamed points are 100–150 ms ahead: with more committed, the axes would have to stop at
 each. So a stream keeps this much ahead, whatever the buffer time is."""
 
+KEPT_MS = 1000.0  # of what was commanded, for those who compare it with what is measured
+
 
 class Feeder:
     """Feeds the buffers of `axes` along a reference. Path times are ms since the start SYNC."""
@@ -38,6 +40,8 @@ class Feeder:
         smoothness: float,
     ) -> None:
         self.reference: Reference | None = None
+        self.known_from_ms = -math.inf  # from here on `reference` is what was commanded, too
+        self._path_ms = 0.0
         self._axes = axes
         self._buffer_time_ms = buffer_time_ms
         self._ahead_ms = buffer_time_ms
@@ -46,6 +50,7 @@ class Feeder:
     def begin(self, reference: Reference) -> None:
         """A new motion, from where the drives stand."""
         self._follow(reference)
+        self.known_from_ms, self._path_ms = -math.inf, 0.0
         self._fitter.begin(reference, [axis.demand_qc or 0 for axis in self._axes])
         for axis in self._axes:
             axis.account = BufferAccount()
@@ -55,9 +60,9 @@ class Feeder:
         if self.ending:
             raise ValueError("the end of the motion is committed already")
         earliest = min(axis.account.committed_ms for axis in self._axes)
-        trimmed = reference.trimmed(earliest)
-        self._follow(trimmed)
-        self._fitter.replace(trimmed)
+        self.known_from_ms = max(self.known_from_ms, self._path_ms - KEPT_MS)
+        self._follow(reference.trimmed(int(max(self.known_from_ms, 0))))
+        self._fitter.replace(reference.trimmed(earliest))
 
     def _follow(self, reference: Reference) -> None:
         self.reference = reference
@@ -89,6 +94,7 @@ class Feeder:
         One at a time, so that between records whoever calls looks at the bus. TrajectoryError
         when the reference can't be followed within tolerance and limits.
         """
+        self._path_ms = path_ms
         if self.due_ms > path_ms:
             return None
         index, axis = min(

@@ -27,7 +27,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
 
-from epos2_ros.errors import DriveError, MotionAborted, TrajectoryError
+from epos2_ros.errors import DriveError, MotionAborted, MotionStopped, TrajectoryError
 from epos2_ros.motion.reference import Reference
 from epos2_ros.protocol import cia402, epos2
 from epos2_ros.protocol.axis import Axis, AxisSetup
@@ -415,9 +415,9 @@ class Group:
 
         Of the SYNCs that a drive sends it is the nearest that can still be armed for.
 
-        `motion` then ends with it: a result when all axes rest at its end, `MotionAborted` when
-        it was cancelled or halted. One that has not begun is cancelled for it. `TrajectoryError`
-        when no motion can begin.
+        `motion` then ends with it: a result when all axes rest at its end, `MotionStopped` when
+        it was cancelled, `MotionAborted` when it was halted. One that has not begun is cancelled
+        for it. `TrajectoryError` when no motion can begin.
         """
         if not self.standing:
             raise TrajectoryError(f"can't move: the drives are {self.describe_phase()}")
@@ -846,7 +846,7 @@ class Group:
         if motion:
             text = f"cancelled before it began: {reason}"
             self.events.append(Event("cancelled", text))
-            motion.set_exception(MotionAborted(text))
+            motion.set_exception(MotionStopped(text))
 
     def _stop_all(self, reason: str, fault: bool = True) -> None:
         """Halt every axis that is in operation; `_finish_halt` goes on when they stand.

@@ -29,6 +29,7 @@ from epos2_ros.motion.stop import stop
 from epos2_ros.motion.stream import Stream, is_streamed
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.motion.units import AxisUnits
+from epos2_ros.protocol.execution import Execution
 from epos2_ros.protocol.group import IN_MOTION, NOT_BEGUN, End, Group, Phase
 
 LATE_START_US = 50_000.0  # a trajectory joined midway from rest starts so much after its message
@@ -71,6 +72,16 @@ class Placement:
         )
 
 
+def refuse_ended(trajectory: Trajectory, stamp_us: float | None, now_us: float) -> None:
+    """TrajectoryError (OLD_HEADER_TIMESTAMP) when it is over; its own zero is at `stamp_us`."""
+    if stamp_us is not None and stamp_us + trajectory.duration_s * 1e6 <= now_us:
+        raise TrajectoryError(
+            f"the trajectory ended {(now_us - stamp_us) / 1e6 - trajectory.duration_s:.3f} s "
+            "ago: check header.stamp and the clocks",
+            TrajectoryError.OLD_HEADER_TIMESTAMP,
+        )
+
+
 class PathCommander:
     """Trajectories in, references for the group out. Times are host µs."""
 
@@ -79,15 +90,25 @@ class PathCommander:
         self._config = config
         self._units = tuple(AxisUnits.of(axis) for axis in config.axes)
         self._limits = Limits.of(config.axes)
-        self._waiting: Placement | None = None
+        self._waiting: tuple[Placement, Execution] | None = None
+        # What the axes follow, or hold the end of; None: neither.
+        self.execution: Execution | None = None
 
-    def submit(self, trajectory: Trajectory, stamp_us: float | None, now_us: float) -> None:
+    def submit(
+        self,
+        trajectory: Trajectory,
+        stamp_us: float | None,
+        now_us: float,
+        execution: Execution | None = None,
+    ) -> Execution:
         """Run a trajectory whose own zero is at `stamp_us` (None: now), all in one step.
 
         TrajectoryError: it is refused, and what the axes are doing goes on untouched.
         """
+        execution = execution or Execution()
         placement = self.place(trajectory, stamp_us, now_us)
-        self.commit(placement, placement.join())
+        self.commit(placement, placement.join(), execution)
+        return execution
 
     def place(
         self,
@@ -98,12 +119,7 @@ class PathCommander:
     ) -> Placement:
         """Where it begins, by what the group is doing now; it takes over `lead_ms` after the end
         of what is committed. TrajectoryError when it can't begin."""
-        if stamp_us is not None and stamp_us + trajectory.duration_s * 1e6 <= now_us:
-            raise TrajectoryError(
-                f"the trajectory ended {(now_us - stamp_us) / 1e6 - trajectory.duration_s:.3f} s "
-                "ago: check header.stamp and the clocks",
-                TrajectoryError.OLD_HEADER_TIMESTAMP,
-            )
+        refuse_ended(trajectory, stamp_us, now_us)
         group, feeder = self._group, self._group.feeder
         if group.standing and not self._streams_on(trajectory):
             return self._from_rest(trajectory, stamp_us, now_us)
@@ -124,8 +140,11 @@ class PathCommander:
             round((start_us - group.zero_us(now_us)) / 1000),
         )
 
-    def commit(self, placement: Placement, reference: Reference) -> bool:
+    def commit(
+        self, placement: Placement, reference: Reference, execution: Execution | None = None
+    ) -> bool:
         """Follow `reference`, which `placement.join()` gave; False when it came too late."""
+        execution = execution or Execution()
         group, feeder = self._group, self._group.feeder
         match placement.way:
             case Way.BEGIN:
@@ -141,42 +160,64 @@ class PathCommander:
             case Way.WAIT:
                 if group.phase not in IN_MOTION:
                     return False
-                self._drop_waiting("another trajectory came before it began")
-                self._waiting = placement
+                self.drop_waiting("another trajectory came before it began")
+                self._waiting = placement, execution
+                return True
+        self._follow(execution, placement.start_ms)
         return True
 
-    def stop(self) -> Future[Any] | None:
+    def stop(self, reason: str = "stopped on request") -> Future[Any] | None:
         """Slow down along the path from the end of what is committed; None if nothing moves.
 
         What has not begun does not begin. The future ends when the axes are at rest.
         """
-        self._drop_waiting("stopped on request")
+        self.drop_waiting(reason)
         group, feeder = self._group, self._group.feeder
         if not group.moving:
-            return group.cancel("stopped on request") if group.motion else None
+            return group.cancel(reason) if group.motion else None
         if not feeder.ending and feeder.reference is not None:
             path = stop(feeder.reference, feeder.committed_ms, self._limits)
             group.replace(path, End.STOPPED)
+            if self.execution is not None:
+                self.execution.stop_for(reason)
         return group.motion
+
+    def cancel(self, execution: Execution, reason: str) -> None:
+        """Stop as `stop` does, if it is this trajectory that the axes follow or wait for."""
+        if self._waiting is not None and self._waiting[1] is execution:
+            self.drop_waiting(reason)
+        elif self.execution is execution and self._waiting is None:
+            self.stop(reason)
 
     def disable(self) -> Future[None]:
         """Stop on the path, then switch all axes off."""
-        self.stop()
+        self.stop("the drives are to be disabled")
         return self._group.disable()
 
     def advance(self, now_us: float) -> None:
         """Begin what waits for the axes to stand."""
         phase = self._group.phase
+        if not (self._group.moving or self._group.standing):
+            self.execution = None
         if self._waiting is None or phase in IN_MOTION:
             return
         if phase is not Phase.STANDING:
-            self._drop_waiting(self._group.describe_phase())
+            self.drop_waiting(self._group.describe_phase())
             return
-        waiting, self._waiting = self._waiting, None
+        (waiting, execution), self._waiting = self._waiting, None
         try:
-            self.submit(waiting.trajectory, waiting.stamp_us, now_us)
+            self.submit(waiting.trajectory, waiting.stamp_us, now_us, execution)
         except TrajectoryError as error:
             self._group.announce("aborted", str(error))
+            execution.give_up(str(error))
+
+    def _follow(self, execution: Execution, start_ms: int) -> None:
+        """The group follows another trajectory from now on."""
+        before, self.execution = self.execution, execution
+        if before is not None:
+            before.give_up("another trajectory has taken over")
+        assert self._group.motion is not None
+        execution.run(self._group.motion, start_ms)
 
     def _from_rest(
         self, trajectory: Trajectory, stamp_us: float | None, now_us: float
@@ -206,11 +247,13 @@ class PathCommander:
             and isinstance(reference.motions[-1], Stream)
         )
 
-    def _drop_waiting(self, reason: str) -> None:
+    def drop_waiting(self, reason: str) -> None:
         """What waits for the end of the motion in progress is not going to begin."""
         waiting, self._waiting = self._waiting, None
         if waiting is not None:
-            self._group.announce("cancelled", f"cancelled before it began: {reason}")
+            text = f"cancelled before it began: {reason}"
+            self._group.announce("cancelled", text)
+            waiting[1].give_up(text)
 
     def _placement(
         self,
