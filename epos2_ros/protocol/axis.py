@@ -11,6 +11,7 @@ from epos2_ros.protocol import cia402, epos2
 from epos2_ros.protocol.buffer_account import BufferAccount
 from epos2_ros.protocol.cia402 import State
 from epos2_ros.protocol.frame import Frame
+from epos2_ros.protocol.path_audit import PathAudit
 
 SYNC_ANSWER_AGE_US = 50_000.0  # an answer to SYNC may wait so long for its turn on the bus
 
@@ -31,7 +32,7 @@ class Axis:
     current, and for the buffer status in TPDO1 only.
     """
 
-    def __init__(self, setup: AxisSetup, clock_master: bool = False) -> None:
+    def __init__(self, setup: AxisSetup, audit: PathAudit, clock_master: bool = False) -> None:
         self._clock_master = clock_master
         self.joint = setup.joint
         self.node_id = setup.node_id
@@ -53,6 +54,7 @@ class Axis:
         self.heard_us = -math.inf
         self.restarted = False
         self.account = BufferAccount()
+        self.audit = audit
 
     def __str__(self) -> str:
         return f"{self.joint} (node {self.node_id})"

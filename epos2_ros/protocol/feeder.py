@@ -54,6 +54,7 @@ class Feeder:
         self._fitter.begin(reference, [axis.demand_qc or 0 for axis in self._axes])
         for axis in self._axes:
             axis.account = BufferAccount()
+            axis.audit.rest(axis.demand_qc or 0)
 
     def replace(self, reference: Reference) -> None:
         """Go on along `reference`, equal to the current one up to the end of what is committed."""
@@ -108,6 +109,7 @@ class Feeder:
         if record is None:
             return None
         axis.account.send(record)
+        axis.audit.send(record)
         return axis.record(record)
 
     def unreported(self) -> list[Axis]:

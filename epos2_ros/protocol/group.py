@@ -34,6 +34,7 @@ from epos2_ros.protocol.axis import Axis, AxisSetup
 from epos2_ros.protocol.cia402 import State
 from epos2_ros.protocol.feeder import Feeder
 from epos2_ros.protocol.frame import Frame
+from epos2_ros.protocol.path_audit import PathAudit
 from epos2_ros.protocol.timekeeper import LEAD_US, Timekeeper
 
 SETTLING_SYNCS = 10  # as many periods, and REPLY_TIMEOUT_US, has a group to be ready in
@@ -121,7 +122,16 @@ class Group:
     """The protocol of a group of EPOS2 axes on one bus."""
 
     def __init__(self, setups: Sequence[AxisSetup], settings: GroupSettings) -> None:
-        self.axes = [Axis(setup, n == settings.clock_master) for n, setup in enumerate(setups)]
+        self.axes = [
+            Axis(
+                setup,
+                PathAudit(
+                    setup.fit.velocity_unit_qc_s, settings.tolerance_qc, settings.sync_period_us
+                ),
+                n == settings.clock_master,
+            )
+            for n, setup in enumerate(setups)
+        ]
         self.settings = settings
         self.phase = Phase.DISABLED
         self.outbox: deque[Frame] = deque()
@@ -177,9 +187,16 @@ class Group:
         axis = self.axes[index]
 
         def tpdo3(data: bytes, t_us: float) -> None:
-            self.time.on_answer(index, axis.on_tpdo3(data, t_us), t_us)
+            latched = axis.on_tpdo3(data, t_us)
+            axis.audit.on_clock(latched, t_us)
+            self.time.on_answer(index, latched, t_us)
             if self.time.astray(index):
                 self._trouble()
+
+        def tpdo4(data: bytes, t_us: float) -> None:
+            axis.on_tpdo4(data, t_us)
+            if axis.demand_qc is not None:
+                self._off_path(axis, axis.audit.on_demand(axis.demand_qc, t_us))
 
         def emergency(data: bytes, t_us: float) -> None:
             if axis.on_emergency(data):
@@ -195,7 +212,7 @@ class Group:
             (epos2.TPDO1 + node, axis.on_tpdo1),
             (epos2.TPDO2 + node, axis.on_tpdo2),
             (epos2.TPDO3 + node, tpdo3),
-            (epos2.TPDO4 + node, axis.on_tpdo4),
+            (epos2.TPDO4 + node, tpdo4),
             (epos2.EMCY + node, emergency),
             (epos2.HEARTBEAT + node, heartbeat),
         ):
@@ -251,6 +268,8 @@ class Group:
         if starts:
             self.start_us, self._start_master_us = t_us, self.time.clock.master_us(t_us)
         self.time.on_sync(t_us, begins_path=starts)
+        for axis in self.axes:
+            self._off_path(axis, axis.audit.on_sync(t_us, starts))
         if starts:
             self._now_us = max(self._now_us, t_us)
             self._begun()
@@ -669,6 +688,8 @@ class Group:
         ]
         timeout_us = REPLY_TIMEOUT_US + SETTLING_SYNCS * self.settings.sync_period_us
         if not late and self.time.clock.settled:
+            for axis in self.axes:
+                axis.audit.rest(axis.demand_qc or 0)
             self._stand()
         elif self._now_us > self._phase_us + timeout_us:
             names = ", ".join(str(axis) for axis in late)
@@ -790,6 +811,13 @@ class Group:
         if wrong:
             self._stop_all(f"{axis}: {wrong}")
 
+    def _off_path(self, axis: Axis, wrong: str) -> None:
+        """What the audit of the executed path says, where a path is executed or all stand."""
+        if wrong and self.phase in IN_MOTION:
+            self.fail(f"{axis}: {wrong}")
+        elif wrong and self.phase is Phase.STANDING:
+            self._stop_all(f"{axis}: {wrong}")
+
     def _finish_motion(self) -> None:
         """All axes stand at their ends, enabled; bit 4 has to fall so that it can rise again."""
         for axis in self.axes:
@@ -862,7 +890,8 @@ class Group:
     def _halt_all(self) -> None:
         """Who may be moving keeps bit 4 beside the halt, so that it brakes on its ramp."""
         self._take_back()
-        moving = 0 if self.phase in NOT_BEGUN else epos2.ENABLE_IP_MODE
+        still = self.phase in NOT_BEGUN or self.phase is Phase.STANDING
+        moving = 0 if still else epos2.ENABLE_IP_MODE
         self._enter(Phase.HALTING)
         for axis in self.axes:
             if axis.state is State.OPERATION_ENABLED:

@@ -1,0 +1,228 @@
+"""Whether a drive executes what it was sent, looked at at every SYNC.
+
+The drive answers each SYNC twice: with what its motion clock was then (TPDO3), and with its
+position demand (TPDO4). Path time begins at the start SYNC and goes by the drive's own clock
+(application note, 2.4), so the first answer says to a microsecond where on the path the drive has
+to be, however late the host has seen the SYNC; and the records that were sent say what the demand
+is there, to a count. That a drive's clock is right is the timekeeper's to say, not looked at here.
+
+How far off is wrong. The demand has to be that of a control cycle, a whole millisecond k of the
+path, within ROUNDING_QC and the tolerance of the records. Which cycle, no document says exactly:
+READING: CiA 301 has a synchronous TPDO sampled at the SYNC, the note has motion begin with it; a
+drive may begin with its next cycle and sample in another. So there is a delay between SYNC and
+sample, unknown but the same at every SYNC: at first anything up to MAX_DELAY_US either way, then
+what the answers so far leave of that. An axis can be off unnoticed by its velocity times what is
+left, at least one control cycle and 2 · JITTER_US, and by tolerance and rounding.
+
+Which SYNC an answer belongs to. TPDO3 says it itself, by the clock. TPDO4 doesn't: it is taken for
+the answer to the same SYNC where both came between the same two SYNCs, and not judged otherwise.
+Where one of the SYNCs before is without an answer, it might be that one, late; then the next is
+believed. So lost, late and repeated answers do no harm; too many in a row are told.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left
+from collections import deque
+
+from epos2_ros.motion.pvt import Cubic
+from epos2_ros.motion.record import Record
+from epos2_ros.protocol.clock import wrapped
+
+ROUNDING_QC = 1.0  # the demand in whole counts, rounded or cut off
+MAX_DELAY_US = 2_000.0  # from SYNC to sample, or of the start after its SYNC; a cycle for each
+JITTER_US = 100.0  # of that delay; twice the coarsest clock (a bit time at 20 kbit/s) is included
+MISSED_ANSWERS = 3  # in a row, …
+MISSED_ANSWERS_US = 500_000.0  # … and for so long: something is wrong with TPDO3 or TPDO4
+LATE_SYNCS = 4  # an answer may be to one so many SYNCs ago
+STAMP_NOISE_US = 1_000.0  # a frame with a time stamp so much before a SYNC was before it
+_REMEMBERED = 8  # SYNCs, and answers that wait for the other
+_KEPT_MS = 3_000  # of the executed path, for answers that come late
+
+
+class PathAudit:
+    """Of one drive: through a motion and the rest before and after. Positions are qc, times µs.
+
+    `tolerance_qc`: how far off its records an axis may be besides rounding.
+    """
+
+    def __init__(
+        self, velocity_unit_qc_s: float, tolerance_qc: float, sync_period_us: float
+    ) -> None:
+        self._unit_qc_s = velocity_unit_qc_s
+        self._allowed_qc = tolerance_qc + ROUNDING_QC
+        self._period_us = sync_period_us
+        self._patience = max(MISSED_ANSWERS, math.ceil(MISSED_ANSWERS_US / sync_period_us))
+        self._syncs: deque[tuple[int, float]] = deque(maxlen=_REMEMBERED)  # number, host time
+        self.rest(0)
+
+    def rest(self, position_qc: int) -> None:
+        """The drive stands there; what is sent from now on leads away from it."""
+        self._knot = Record(position_qc, 0, 0)  # the last that was sent
+        self._start_qc = position_qc
+        self._ends_ms: list[int] = []  # of the segments in `_cubics`
+        self._cubics: list[list[float]] = []  # coefficients, as in `Cubic`
+        self._committed_ms = 0
+        self._ended = True
+        self._forgot = False  # segments dropped from the head of both
+        self._start: tuple[int, float] | None = None  # the start SYNC
+        self._late_start_us = 0.0  # path time at the SYNC after it
+        self._latched = 0  # the clock at the last SYNC that was answered, …
+        self._path_us = 0.0  # … and path time then
+        self._zeroed = False  # path time is known since the start SYNC
+        self._answers: dict[int, float | None] = {}  # path time at SYNCs without a demand yet
+        self._least_us, self._most_us = -MAX_DELAY_US, MAX_DELAY_US  # the delay
+        self._follows = False  # it was once where only a drive on its path can be
+        self._open: deque[int] = deque()  # of the last SYNCs those without an answer that fits
+        self._suspect = -1  # the last whose answer did not fit
+        self._unanswered = 0
+
+    def send(self, record: Record) -> None:
+        """A record was handed to the bus."""
+        self._ended = record.time == 0
+        if self._ended:
+            return
+        duration_s = record.time * 1e-3
+        last, unit = self._knot, self._unit_qc_s
+        cubic = Cubic.between(
+            last.position, last.velocity * unit, record.position, record.velocity * unit, duration_s
+        )
+        self._committed_ms += record.time
+        self._cubics.append([float(coefficient) for coefficient in cubic])
+        self._ends_ms.append(self._committed_ms)
+        self._knot = record
+
+    # ------------------------------------------------------------------ what was on the bus
+
+    def on_sync(self, t_us: float, starts: bool) -> str:
+        """A SYNC was on the bus, the one that starts the motion if so; what is wrong, or ""."""
+        number = self._syncs[-1][0] + 1 if self._syncs else 0
+        self._syncs.append((number, t_us))
+        self._open.append(number)
+        if self._open[0] < number - LATE_SYNCS:
+            self._open.popleft()
+        if starts:
+            self._start = number, t_us
+            self._answers.clear()
+        elif self._start and not self._late_start_us:
+            self._late_start_us = t_us - self._start[1]
+        self._unanswered += 1
+        if self._unanswered <= self._patience:
+            return ""
+        return f"it has not answered {self._patience} SYNCs with clock and position demand"
+
+    def on_clock(self, latched: int, t_us: float) -> None:
+        """What the drive's clock was at the SYNC that it answers (TPDO3)."""
+        number, sync_us = self._sync_before(t_us)
+        passed_us = wrapped(latched - self._latched)
+        self._latched = latched
+        if self._start is None or number < self._start[0]:
+            self._answers[number] = None
+            return
+        if number == self._start[0] and (passed_us > 0 or not self._zeroed):
+            self._path_us, self._zeroed = 0.0, True
+        elif not self._zeroed:
+            # The answer to the start SYNC is lost: the host's times have to do.
+            self._path_us, self._zeroed = sync_us - self._start[1], True
+            self._least_us, self._most_us = -self._period_us / 2, self._period_us / 2
+        else:
+            self._path_us += passed_us
+        self._answers[number] = self._path_us
+
+    def on_demand(self, demand_qc: int, t_us: float) -> str:
+        """The position demand at a SYNC (TPDO4); what is wrong with it, or ""."""
+        number, _ = self._sync_before(t_us)
+        if number not in self._answers:
+            return ""
+        path_us = self._answers.pop(number)
+        for older in [n for n in self._answers if n < number - _REMEMBERED]:
+            del self._answers[older]
+        if path_us is None or not self._cubics:
+            off_qc = demand_qc - self._start_qc
+            if abs(off_qc) <= self._allowed_qc:
+                self._answered(number)
+                return ""
+            return f"its demand has moved by {off_qc} qc while it was to stand"
+        cycles = self._cycles(path_us, demand_qc, self._least_us, self._most_us)
+        if cycles is None:
+            open_before = any(before < number for before in self._open)
+            late = self._follows and open_before and self._suspect != number - 1
+            self._suspect = number
+            return "" if late else self._complaint(path_us, demand_qc)
+        self._answered(number)
+        first, last = cycles
+        self._least_us = max(self._least_us, 1000 * first - path_us - JITTER_US)
+        self._most_us = min(self._most_us, 1000 * (last + 1) - path_us + JITTER_US)
+        self._follows = self._follows or not self._started_late(path_us, demand_qc)
+        self._forget(int(path_us / 1000) - _KEPT_MS)
+        return ""
+
+    def _answered(self, number: int) -> None:
+        self._unanswered = 0
+        if number in self._open:
+            self._open.remove(number)
+
+    def _sync_before(self, t_us: float) -> tuple[int, float]:
+        """Number and host time of the last SYNC that is known to have been before `t_us`.
+
+        A frame that the host has got after a SYNC was after it, but for what its stamp says.
+        """
+        for number, sync_us in reversed(self._syncs):
+            if t_us > sync_us - STAMP_NOISE_US:
+                return number, sync_us
+        return -1, math.nan
+
+    # ------------------------------------------------------------------ the path
+
+    def _position_qc(self, k_ms: int) -> float:
+        """The demand in a cycle; NaN where it is not known (any more, or yet)."""
+        if k_ms <= 0:
+            return float(self._start_qc)
+        index = bisect_left(self._ends_ms, k_ms)
+        if index == len(self._ends_ms):
+            return float(self._knot.position) if self._ended else math.nan
+        if index == 0 and self._forgot:
+            return math.nan
+        t_s = (k_ms - self._ends_ms[index]) * 1e-3
+        a, b, c, d = self._cubics[index]
+        return ((a * t_s + b) * t_s + c) * t_s + d
+
+    def _cycles(
+        self, path_us: float, demand_qc: int, least_us: float, most_us: float
+    ) -> tuple[int, int] | None:
+        """First and last cycle within a delay's reach whose demand this could be."""
+        first = math.floor((path_us + least_us - JITTER_US) / 1000)
+        last = math.floor((path_us + most_us + JITTER_US) / 1000)
+        fitting = [
+            k
+            for k in range(first, last + 1)
+            if not abs(self._position_qc(k) - demand_qc) > self._allowed_qc  # unknown fits
+        ]
+        return (fitting[0], fitting[-1]) if fitting else None
+
+    def _started_late(self, path_us: float, demand_qc: int) -> bool:
+        """Whether the demand is that of a drive that started with the SYNC after the start's."""
+        at_us = path_us - self._late_start_us
+        return self._cycles(at_us, demand_qc, -MAX_DELAY_US, MAX_DELAY_US) is not None
+
+    def _complaint(self, path_us: float, demand_qc: int) -> str:
+        off_qc = abs(demand_qc - self._position_qc(math.floor(path_us / 1000)))
+        text = f"its demand is {off_qc:.0f} qc off its path at {path_us / 1e6:.3f} s: "
+        if self._follows:
+            return text + "a record was lost, repeated or altered"
+        if abs(demand_qc - self._start_qc) <= self._allowed_qc:
+            return text + "it has not started with the start SYNC"
+        if self._late_start_us and self._started_late(path_us, demand_qc):
+            return text + "it started one SYNC late"
+        return text + (
+            "a record was lost, repeated or altered, or the drive goes by another velocity "
+            "notation, polarity or interpolation than it was told"
+        )
+
+    def _forget(self, before_ms: int) -> None:
+        """Drop segments that ended long ago, so that hours of motion need no memory."""
+        gone = bisect_left(self._ends_ms, before_ms)
+        if gone > 64:
+            self._forgot = True
+            del self._ends_ms[:gone], self._cubics[:gone]
