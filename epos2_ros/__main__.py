@@ -10,6 +10,7 @@ PROGRAMS = {
     "simulator": ("epos2_ros.sim.main", "simulated drives on any python-can bus"),
     "scan": ("epos2_ros.commission.scan", "who is on a bus, and what is odd; changes nothing"),
     "plan": ("epos2_ros.plan", "a trajectory file as PVT records, errors and bus load; no bus"),
+    "replay": ("epos2_ros.replay", "what happened on a bus, from the log of it; no bus"),
     "demo": ("epos2_ros.demo", "driver and simulated drives run a trajectory, with a report"),
 }
 USAGE = f"usage: epos2_ros {{{','.join(PROGRAMS)}}} [ARGUMENT …]"

@@ -507,6 +507,7 @@ class Driver:
             raise DriveError(f"{what}: no result within {REQUEST_TIMEOUT_S:g} s") from error
 
     def _on_frame(self, frame: Frame, t_us: float, echo: bool) -> None:
+        t_us = round(t_us, 3)  # what a log holds: run over it again, all is the same
         self._group.receive(frame, t_us, echo)
         self._copley.receive(frame, t_us, echo)
         self._outputs.receive(frame, t_us, echo)

@@ -4,16 +4,17 @@
     base hex  timestamps absolute
     internal events logged
     Begin Triggerblock Fri Nov 27 17:41:01.250 2026
-    // @0.000000 log {"version": 1, "host_us": 81234567.0, "wall_s": 1795801261.25, …}
-    // @0.000012 configuration {…}
-    0.004817 1  601             Tx   d 8 40 00 10 00 00 00 00 00
-    0.005125 1  581             Rx   d 8 43 00 10 00 92 01 02 00
-    // @12.500871 fault {"text": "joint_3 (node 3): following error (0x8611)"}
+    // @0.000000000 log {"version": 1, "host_us": 81234567.0, "wall_s": 1795801261.25, …}
+    // @0.000012000 configuration {…}
+    0.004817031 1  601             Tx   d 8 40 00 10 00 00 00 00 00
+    0.005125874 1  581             Rx   d 8 43 00 10 00 92 01 02 00
+    // @12.500871240 fault {"text": "joint_3 (node 3): following error (0x8611)"}
 
 Text, because a log is wanted most when its writer was killed: whatever was written is readable to
 the last line, by other tools and by eye. Time stamps are seconds of the host's monotonic clock
-since `host_us`; `wall_s` is the wall clock then, and `clocks` events say how the two have parted.
-An event is a comment, which other readers skip: `// @`, its time, its name, and its data as JSON.
+since `host_us`, to the nanosecond, which is all that the driver itself knows; `wall_s` is the wall
+clock then, and `clocks` events say how the two have parted. An event is a comment, which other
+readers skip: `// @`, its time, its name, and its data as JSON.
 """
 
 from __future__ import annotations
@@ -71,23 +72,23 @@ def header(wall_s: float) -> str:
 def frame_line(t_s: float, can_id: int, data: bytes, sent: bool) -> str:
     """A data frame with an 11-bit identifier."""
     way = "Tx" if sent else "Rx"
-    return f"{t_s:.6f} {CHANNEL}  {can_id:<15X} {way}   d {len(data):x} {data.hex(' ').upper()}\n"
+    return f"{t_s:.9f} {CHANNEL}  {can_id:<15X} {way}   d {len(data):x} {data.hex(' ').upper()}\n"
 
 
 def other_line(t_s: float, kind: str, can_id: int, data: bytes) -> str:
     """A frame that is not of CANopen as the driver speaks it."""
     if kind == "error":
-        return f"{t_s:.6f} {CHANNEL}  ErrorFrame\n"
+        return f"{t_s:.9f} {CHANNEL}  ErrorFrame\n"
     if kind == "remote":
-        return f"{t_s:.6f} {CHANNEL}  {can_id:<15X} Rx   r 0\n"
+        return f"{t_s:.9f} {CHANNEL}  {can_id:<15X} Rx   r 0\n"
     number = f"{can_id:X}x"
-    return f"{t_s:.6f} {CHANNEL}  {number:<15} Rx   d {len(data):x} {data.hex(' ').upper()}\n"
+    return f"{t_s:.9f} {CHANNEL}  {number:<15} Rx   d {len(data):x} {data.hex(' ').upper()}\n"
 
 
 def event_line(t_s: float, name: str, data: Any = None) -> str:
     """An event; `data` is what JSON can hold."""
     written = "" if data is None else f" {json.dumps(data, ensure_ascii=False)}"
-    return f"// @{t_s:.6f} {name}{written}\n"
+    return f"// @{t_s:.9f} {name}{written}\n"
 
 
 def parse(line: str, base: int = 16) -> FrameLine | EventLine | None:

@@ -102,9 +102,12 @@ class _Recorder:
         self._log.frame(t_us, frame.can_id, frame.data, echo)
 
     def _note_advance(self, arguments: tuple[Any, ...], result: Any) -> None:
-        group = self._group
+        group, now_us = self._group, arguments[0]
+        data = {} if group.phase is self._phase else {"phase": group.phase.value}
+        if round(now_us, 3) != now_us:  # no host's clock, which counts nanoseconds
+            data["now_us"] = now_us
         if len(group.outbox) > self._sending or group.clearing or group.phase is not self._phase:
-            self._log.event(arguments[0], "advance", group.phase.value)
+            self._log.event(now_us, "advance", data or None)
 
     def _note_placement(self, arguments: tuple[Any, ...], result: Any) -> None:
         trajectory, stamp_us, now_us, lead_ms = (*arguments, 0)[:4]
@@ -166,8 +169,9 @@ class Repeater:
         """
         group = self._group
         if name == "advance":
-            self._path.advance(t_us)
-            group.advance(t_us)
+            now_us = (data or {}).get("now_us", t_us)
+            self._path.advance(now_us)
+            group.advance(now_us)
         elif name == "start_clock":
             group.start_clock(data[0], bytes.fromhex(data[1]))
         elif name in REQUESTS + REPORTS:
