@@ -22,7 +22,7 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (SHARE, ["package.xml"]),
         (f"{SHARE}/config", glob("config/*.yaml")),
-        (f"{SHARE}/examples", glob("examples/*.yaml")),
+        (f"{SHARE}/examples", glob("examples/*.yaml") + glob("examples/*.service")),
         (f"{SHARE}/launch", glob("launch/*.launch.py")),
         (f"lib/{NAME}", glob("scripts/*")),  # where `ros2 run` looks
     ],

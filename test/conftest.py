@@ -7,6 +7,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Iterator
+from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -51,8 +52,7 @@ def examples() -> Path:
 def ros_domain_id() -> Iterator[int]:
     """A ROS domain that no other test on this machine uses at the same time."""
     for domain in range(1, 101):  # up to 101 the ports stay below Linux' ephemeral ones
-        path = Path(tempfile.gettempdir()) / f"epos2_ros_test_domain_{domain}"
-        with path.open("a") as lock:
+        with _lock_file(f"epos2_ros_test_domain_{domain}").open() as lock:
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
@@ -60,6 +60,14 @@ def ros_domain_id() -> Iterator[int]:
             yield domain
             return
     pytest.fail("all ROS domains from 1 to 100 are in use by other tests")
+
+
+def _lock_file(name: str) -> Path:
+    """One for all users of this machine, any of whom may have made it; reading is enough."""
+    path = Path(tempfile.gettempdir()) / name
+    with suppress(FileExistsError):
+        os.close(os.open(path, os.O_CREAT | os.O_EXCL, 0o644))
+    return path
 
 
 @pytest.fixture

@@ -60,7 +60,11 @@ _F = TypeVar("_F", bound=Callable[..., Any])
 def _compiled(function: _F) -> _F:
     if not COMPILED:
         return function
-    compiled: Any = numba.njit(cache=True, error_model="numpy", nogil=True)(function)
+    compiled: Any
+    try:
+        compiled = numba.njit(cache=True, error_model="numpy", nogil=True)(function)
+    except RuntimeError:  # there is no folder to keep it in that can be written
+        compiled = numba.njit(error_model="numpy", nogil=True)(function)
     return compiled
 
 
@@ -646,7 +650,17 @@ def prepare() -> None:
     advance(still, bends_of(still), 0, 2, vector((1.0, 1.0, inf, inf, 0.0, 1)), plan_from_rest(0.0))
 
 
+def kept_in() -> pathlib.Path | None:
+    """The folder in which what has been compiled is kept (Numba's choice); None: it is not kept."""
+    compiled: Any = advance
+    path = compiled.stats.cache_path if COMPILED else None
+    return pathlib.Path(path) if path is not None else None
+
+
 def compiled_before() -> bool:
     """Whether `prepare` will find what an earlier run has compiled."""
-    cache: Any = advance
-    return not COMPILED or any(pathlib.Path(cache.stats.cache_path).glob("knots.advance-*.nbi"))
+    folder = kept_in()
+    if not COMPILED or folder is None:
+        return not COMPILED
+    written_s = pathlib.Path(__file__).stat().st_mtime
+    return any(path.stat().st_mtime > written_s for path in folder.glob("knots.advance-*.nbi"))

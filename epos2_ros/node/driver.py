@@ -41,13 +41,13 @@ from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
+from epos2_ros import surroundings
 from epos2_ros.arguments import given_parameters
 from epos2_ros.bus.driver import Driver
 from epos2_ros.compare_config import CompareConfig
 from epos2_ros.config import ClockLimits, DriverConfig
 from epos2_ros.errors import Epos2RosError
 from epos2_ros.files import DRIVER
-from epos2_ros.motion import knots
 from epos2_ros.motion.move import target_of
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.node import messages
@@ -373,7 +373,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         given = given_parameters(args)
         usage.parse_args(remove_ros_args(args))
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        more_args, no_log_file = surroundings.without_log_file()
+        rclpy.init(args=args + more_args, signal_handler_options=SignalHandlerOptions.NO)
         node = DriverNode()
         for parameters in given:
             parameters.of(node.get_fully_qualified_name())
@@ -384,13 +385,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         rclpy.try_shutdown()
         return 2
 
-    if not knots.COMPILED:
-        node.get_logger().warning(
-            "Numba is not installed: fitting takes some hundred times longer (Debian, Ubuntu: "
-            "sudo apt install python3-numba)"
-        )
-    elif not knots.compiled_before():
-        node.get_logger().info("compiling the fitter, once after an installation: some 15 s")
+    logger = node.get_logger()
+    if no_log_file:
+        logger.warning(no_log_file)
+    slow, line = surroundings.compiling()
+    if line:
+        (logger.warning if slow else logger.info)(line)
     executor = MultiThreadedExecutor(EXECUTOR_THREADS)
     executor.add_node(node)
     broken: list[BaseException] = []

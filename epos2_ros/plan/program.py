@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
 
+from epos2_ros import surroundings
 from epos2_ros.arguments import without_ros_arguments
 from epos2_ros.config import DriverConfig
 from epos2_ros.errors import Epos2RosError, TrajectoryError
@@ -26,6 +27,8 @@ DRAWINGS = (".png", ".svg", ".html")
 def main(argv: Sequence[str] | None = None) -> int:
     """Returns 0; or 1 after one line on standard error: refused, or can't be read or written."""
     arguments = _arguments(sys.argv[1:] if argv is None else argv)
+    if line := surroundings.compiling()[1]:
+        print(f"epos2_ros plan: {line}", file=sys.stderr)
     try:
         run(arguments)
     except TrajectoryError as error:
