@@ -7,7 +7,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -48,8 +48,8 @@ def examples() -> Path:
     return ROOT / "examples"
 
 
-@pytest.fixture
-def ros_domain_id() -> Iterator[int]:
+@contextmanager
+def free_domain() -> Iterator[int]:
     """A ROS domain that no other test on this machine uses at the same time."""
     for domain in range(1, 101):  # up to 101 the ports stay below Linux' ephemeral ones
         with _lock_file(f"epos2_ros_test_domain_{domain}").open() as lock:
@@ -68,6 +68,20 @@ def _lock_file(name: str) -> Path:
     with suppress(FileExistsError):
         os.close(os.open(path, os.O_CREAT | os.O_EXCL, 0o644))
     return path
+
+
+@pytest.fixture
+def ros_domain_id() -> Iterator[int]:
+    """A ROS domain of this test's own."""
+    with free_domain() as domain:
+        yield domain
+
+
+@pytest.fixture(scope="module")
+def module_domain_id() -> Iterator[int]:
+    """A ROS domain of this module's own."""
+    with free_domain() as domain:
+        yield domain
 
 
 @pytest.fixture

@@ -22,7 +22,8 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Sequence
-from typing import Any
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any
 
 import rclpy
 from builtin_interfaces.msg import Time
@@ -56,8 +57,12 @@ from epos2_ros.node.serialized import read_trajectory
 from epos2_ros.protocol.group import Event
 from epos2_ros.protocol.outputs import OutputEvent
 
-# Lifecycle and parameters, trajectory, moves and outputs, four services, topics; one to spare.
-EXECUTOR_THREADS = 9
+if TYPE_CHECKING:
+    from epos2_ros.node.action import TrajectoryAction
+
+# Lifecycle and parameters, trajectory, moves and outputs, four services, topics, the action, the
+# results of its goals, the query of its state; one to spare.
+EXECUTOR_THREADS = 12
 DIAGNOSTICS_PERIOD_S = 1.0
 EVENTS_KEPT = 1000  # of an output, for a subscriber that is slow: they come in bursts
 CLOCK_READINGS = 3
@@ -136,6 +141,12 @@ class DriverNode(LifecycleNode):
         self._offer_trigger("~/quick_stop", "stopped", lambda driver: driver.quick_stop())
         self._offer_trigger("~/reset_fault", "no fault", lambda driver: driver.reset_fault())
 
+        self._action: TrajectoryAction | None = None
+        if find_spec("control_msgs") is not None:  # not among what is needed to run
+            from epos2_ros.node.action import TrajectoryAction
+
+            self._action = TrajectoryAction(self, self._activated, self._ros_time, self._host_us)
+
         self._answer_change_state = self._service_change_state.callback
         self._service_change_state.callback = self._on_change_state
         if self._declared["autostart"]:
@@ -156,10 +167,12 @@ class DriverNode(LifecycleNode):
         namespace, channel = self.get_namespace().strip("/"), config.channel
         self._channel = f"{namespace}/{channel.lstrip('/')}" if namespace else channel
         self._clock_limits = config.clock_limits
+        if self._action is not None:
+            self._action.configured(config)
         self._topic_timers = [
             self.create_timer(period, publish, self._topics_group, clock=self._steady)
             for period, publish in (
-                (1.0 / self._declared["state_rate"], self._publish_joint_states),
+                (1.0 / self._declared["state_rate"], self._publish_states),
                 (1.0 / self._declared["status_rate"], self._publish_buffer_status),
                 (DIAGNOSTICS_PERIOD_S, self._publish_diagnostics),
             )
@@ -214,6 +227,8 @@ class DriverNode(LifecycleNode):
         with self._transitions:
             if self._state_machine.current_state[1] != "finalized":
                 self.trigger_shutdown()
+        if self._action is not None:
+            self._action.close()
 
     def _release(self) -> None:
         """Closes the bus and ends the topics; harmless when there is nothing to close."""
@@ -278,8 +293,10 @@ class DriverNode(LifecycleNode):
         """A parameter of an output has changed while the driver runs."""
         self._configured().set_output(config)
 
-    def _publish_joint_states(self) -> None:
+    def _publish_states(self) -> None:
         if (driver := self._driver) is not None:
+            if self._action is not None:
+                self._action.publish_state(driver)
             heard = [axis for axis in driver.snapshot().axes if not axis.silent_s]
             newest_us = max((axis.stamp_us for axis in heard), default=-math.inf)
             if math.isfinite(newest_us):  # before the first sample there is no state
@@ -303,14 +320,21 @@ class DriverNode(LifecycleNode):
 
     def _ros_time(self, host_us: float) -> Time:
         """Host time (monotonic [µs]) as ROS time."""
+        sec, nanosec = divmod(max(0, round(host_us * 1e3) + self._clock_offset_ns()), 10**9)
+        return Time(sec=sec, nanosec=nanosec)
+
+    def _host_us(self, stamp: Time) -> float:
+        """ROS time as host time (monotonic [µs])."""
+        return (stamp.sec * 10**9 + stamp.nanosec - self._clock_offset_ns()) / 1e3
+
+    def _clock_offset_ns(self) -> int:
+        """ROS time minus host time."""
         readings = []
         for _ in range(CLOCK_READINGS):  # the one that took least was not interrupted
             before = time.monotonic_ns()
             now = self.get_clock().now().nanoseconds
             readings.append((time.monotonic_ns() - before, now - before))
-        _, offset_ns = min(readings)
-        sec, nanosec = divmod(max(0, round(host_us * 1e3) + offset_ns), 10**9)
-        return Time(sec=sec, nanosec=nanosec)
+        return min(readings)[1]
 
     def _on_event(self, event: Event) -> None:
         if event.kind in ("aborted", "fault"):
