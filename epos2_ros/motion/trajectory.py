@@ -63,9 +63,11 @@ class Trajectory:
     def from_message(cls, message: Any) -> Trajectory:
         """From a trajectory_msgs/JointTrajectory (or anything with its attributes)."""
         points, stamp = message.points, message.header.stamp
+        times = list(map(attrgetter("time_from_start"), points))
+        sec, nanosec = (np.fromiter(map(attrgetter(f), times), float) for f in _TIME_FIELDS)
         return cls._from_points(
             tuple(message.joint_names),
-            [time.sec + time.nanosec * 1e-9 for time in (p.time_from_start for p in points)],
+            sec + nanosec * 1e-9,
             {field: list(map(attrgetter(field), points)) for field in _FIELDS},
             stamp.sec + stamp.nanosec * 1e-9,
         )
@@ -74,14 +76,14 @@ class Trajectory:
     def _from_points(
         cls,
         joint_names: tuple[str, ...],
-        times_s: Sequence[float],
+        times_s: Sequence[float] | NDArray[np.float64],
         fields: Mapping[str, Sequence[Sequence[float]]],
         stamp_s: float,
     ) -> Trajectory:
-        if times_s:
+        if len(times_s):
             _check_joint_names(joint_names)
         arrays = {name: _matrix(name, rows, joint_names) for name, rows in fields.items()}
-        if times_s and arrays["positions"] is None:
+        if len(times_s) and arrays["positions"] is None:
             raise TrajectoryError("point 0 has no positions")
         if arrays["accelerations"] is not None and arrays["velocities"] is None:
             raise TrajectoryError("point 0 has accelerations but no velocities")
