@@ -36,6 +36,7 @@ from control_msgs.srv import QueryTrajectoryState  # noqa: E402
 from epos2_ros.node.driver import EXECUTOR_THREADS, SWITCH_INTERVAL_S, DriverNode  # noqa: E402
 
 WAIT_S = 30.0  # for something that must happen; reached only when it does not
+START_S = 100.0  # likewise, with compiling the search for records on a busy machine
 JOINTS = ("a", "b")
 START_TOLERANCE = 0.01
 MAX_VELOCITY = 3.0
@@ -80,7 +81,7 @@ class World:
         self.action = ActionClient(self.client, FollowJointTrajectory, name)
         assert self.action.wait_for_server(WAIT_S)
         self.states: list[JointTrajectoryControllerState] = []
-        self.wait(lambda: self.state == "active")
+        self.wait(lambda: self.state == "active", START_S)
 
     @property
     def state(self) -> str:
@@ -107,8 +108,8 @@ class World:
             np.array([drive._motor.position for drive in self.drives]) * 2 * math.pi / (2000 * 100)
         )
 
-    def wait(self, what: Callable[[], Any]) -> None:
-        deadline = time.monotonic() + WAIT_S
+    def wait(self, what: Callable[[], Any], seconds: float = WAIT_S) -> None:
+        deadline = time.monotonic() + seconds
         while not what():
             assert time.monotonic() < deadline
             time.sleep(0.002)
