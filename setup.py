@@ -17,7 +17,7 @@ setup(
     maintainer="epos2_ros maintainers",
     maintainer_email="maintainers@epos2-ros.example",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["eds/*.eds", "py.typed"]},
+    package_data={NAME: ["commission/*.csv", "eds/*.eds", "py.typed"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (SHARE, ["package.xml"]),

@@ -9,6 +9,8 @@ PROGRAMS = {
     "driver": ("epos2_ros.node.driver", "the driver node (ROS arguments: --ros-args …)"),
     "simulator": ("epos2_ros.sim.main", "simulated drives on any python-can bus"),
     "scan": ("epos2_ros.commission.scan", "who is on a bus, and what is odd; changes nothing"),
+    "check": ("epos2_ros.commission.check", "the first motion of a joint, step by step"),
+    "drive": ("epos2_ros.commission.drive", "a drive's stored parameters: dump, diff, restore"),
     "plan": ("epos2_ros.plan", "a trajectory file as PVT records, errors and bus load; no bus"),
     "replay": ("epos2_ros.replay", "what happened on a bus, from the log of it; no bus"),
     "demo": ("epos2_ros.demo", "driver and simulated drives run a trajectory, with a report"),

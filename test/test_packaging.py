@@ -20,7 +20,7 @@ from ament_index_python.packages import get_package_prefix, get_package_share_di
 from epos2_ros import __main__ as command
 
 ROOT = Path(__file__).resolve().parent.parent
-PROGRAMS = {"driver", "simulator", "scan", "replay", "plan", "demo"}
+PROGRAMS = {"driver", "simulator", "scan", "check", "drive", "replay", "plan", "demo"}
 TIMEOUT_S = 100
 
 

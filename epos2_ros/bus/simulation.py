@@ -38,6 +38,10 @@ class Simulation:
         self._simulator = RealtimeSimulator(self._bus, [*self._drives, *beside])
         self._simulator.start()
 
+    def push(self, node_id: int, counts: float) -> bool:
+        """A hand turns the shaft of one drive; `False`: the motor holds it."""
+        return self._simulator.push(node_id, counts)
+
     def close(self) -> None:
         """Stop them and write their log."""
         self._simulator.stop()

@@ -178,6 +178,17 @@ class Drive(Slave):
         self._start_cycles()
         self._arm()
 
+    def push(self, counts: float) -> bool:
+        """A hand turns the shaft so far; `False`: the motor holds it."""
+        if self.state in _POWERED:
+            return False
+        self._motor.stand(self._motor.position + counts)
+        self._demand = self._motor.position
+        self._dirty = True
+        self._send_events()
+        self._arm()
+        return True
+
     # --- object dictionary --------------------------------------------------------------
 
     def _build_objects(self) -> None:

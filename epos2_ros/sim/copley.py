@@ -174,6 +174,15 @@ class Copley(Slave):
         self._run_loop()
         self._arm()
 
+    def push(self, counts: float) -> bool:
+        """A hand turns the shaft so far; `False`: the motor holds it."""
+        if self.state in _POWERED:
+            return False
+        place = self._shaft + counts
+        self.move_by_hand(lambda _: (place, 0.0))
+        self.move_by_hand(None)
+        return True
+
     # --- object dictionary --------------------------------------------------------------
 
     def _build_objects(self) -> None:

@@ -106,6 +106,12 @@ def _arguments(argv: list[str]) -> argparse.Namespace:
         metavar="MB",
         help="of the log's files together; the oldest are deleted",
     )
+    parser.add_argument(
+        "--hand",
+        action="store_true",
+        help="lines of standard input like `3 500` turn the shaft of node 3 by 500 counts, as a "
+        "hand would while the motor is without power",
+    )
     arguments = parser.parse_args(without_ros_arguments(argv))
     if not arguments.slcan and arguments.channel is None:
         parser.error("--channel is needed (or --slcan)")
@@ -160,6 +166,19 @@ def _described(arguments: argparse.Namespace) -> str:
     )
 
 
+def _take_by_hand(simulator: RealtimeSimulator) -> None:
+    """Turns shafts as standard input says, to its end."""
+    for line in sys.stdin:
+        try:
+            node, counts = line.split()
+            node_id, by = int(node), float(counts)
+        except ValueError:
+            print(f"simulator: {line.strip()!r}: a node id and counts, like 3 500", file=sys.stderr)
+            continue
+        turned = simulator.push(node_id, by)
+        print(f"node {node_id}: {f'turned by {by:g} counts' if turned else 'held'}", flush=True)
+
+
 def main(argv: list[str] | None = None) -> int:
     """Runs until SIGINT or SIGTERM. Returns 0, or 2 after one line about wrong arguments."""
     try:
@@ -188,6 +207,8 @@ def main(argv: list[str] | None = None) -> int:
     if isinstance(bus, SlcanAdapter):
         where = f"the slcan adapter {bus.path}"
     print(f"simulated {_described(arguments)}, on {where}", flush=True)
+    if arguments.hand:
+        threading.Thread(target=_take_by_hand, args=(simulator,), daemon=True).start()
     stop.wait()
     simulator.stop()
     bus.shutdown()

@@ -141,6 +141,12 @@ class RealtimeSimulator:
         self._stopping.set()
         self._thread.join()
 
+    def push(self, node_id: int, counts: float) -> bool:
+        """A hand turns the shaft of one drive; `False`: it is held, or there is no such drive."""
+        with self.lock:
+            pushed = [d.push(counts) for d in self._drives if d.node_id == node_id]
+        return any(pushed)
+
     def _run(self) -> None:
         last_us = -CYCLE_US
         while not self._stopping.is_set():

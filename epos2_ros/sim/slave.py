@@ -176,6 +176,10 @@ class Slave:
     def reconnect(self) -> None:
         self.connected = True
 
+    def push(self, counts: float) -> bool:
+        """A hand turns the shaft so far; `False`: it does not turn."""
+        return False
+
     def power_off(self) -> None:
         self.powered = False
         self.outbox.clear()
