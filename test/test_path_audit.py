@@ -197,7 +197,7 @@ def test_no_more_answers_are():
     run = Run(some_records(rng, 30.0), seed=3)
     run.audit.on_clock = lambda latched, t_us: None  # type: ignore[method-assign]
     wrong, _ = run.run()
-    assert wrong == "it has not answered 5 SYNCs with clock and position demand"
+    assert wrong == "5 SYNCs in a row without its clock and position demand"
 
 
 # ---------------------------------------------------------------------------- what is noticed

@@ -49,7 +49,7 @@ from epos2_ros.protocol.clock import time_of_day
 from epos2_ros.protocol.epos2 import BUFFER_SIZE
 from epos2_ros.protocol.execution import Execution
 from epos2_ros.protocol.frame import Frame
-from epos2_ros.protocol.group import IN_MOTION, SILENCE_TIMEOUT_US, Event, Group, Phase
+from epos2_ros.protocol.group import IN_MOTION, Event, Group, Phase
 from epos2_ros.protocol.outputs import OutputEvent
 from epos2_ros.protocol.path import PathCommander, Placement, refuse_ended
 from epos2_ros.protocol.profile_axes import IN_MOTION as IN_PROFILE_MOTION
@@ -60,6 +60,7 @@ T = TypeVar("T")
 
 REQUEST_TIMEOUT_S = 30.0  # the group's own limits are shorter; this one guards the wait
 IDLE_US = 100_000.0
+STALE_US = 1_500_000.0  # what a drive said so long ago is shown as stale
 
 
 class Driver:
@@ -438,7 +439,7 @@ class Driver:
     def _silent_s(self, heard_us: float) -> float:
         """How long a drive has not been heard, if that is longer than it may be."""
         silent_us = now_us() - heard_us
-        lost = self._link is None or self._link.failed or silent_us > SILENCE_TIMEOUT_US
+        lost = self._link is None or self._link.failed or silent_us > STALE_US
         return silent_us / 1e6 if lost else 0.0
 
     def _state(self) -> tuple[str, str]:

@@ -81,16 +81,19 @@ class MasterClock:
         """No drive's clock fits the host's times of the SYNCs so far: they were wrong."""
         self.reset(self._zero_us)
 
-    def answers(self, drive: int, latched: int, t_us: float) -> bool:
-        """Whether a drive's clock can be its answer to the SYNC of host time `t_us`.
+    def ahead_us(self, drive: int, latched: int, t_us: float) -> float:
+        """How far a drive's clock is ahead of what it was to be at host time `t_us`."""
+        shown = self._shown[drive]
+        if shown is None:
+            return 0.0
+        return float(wrapped(latched - shown) - (self.master_us(t_us) - self._shown_us[drive]))
+
+    def answers(self, ahead_us: float, t_us: float) -> bool:
+        """Whether a clock so far ahead can be an answer to the SYNC of host time `t_us`.
 
         A late answer to the SYNC before is off by what has passed since.
         """
-        shown, now_us = self._shown[drive], self.master_us(t_us)
-        if shown is None:
-            return True
-        passed_us = now_us - self._shown_us[drive]
-        return bool(abs(wrapped(latched - shown) - passed_us) < (now_us - self._sync_us) / 2)
+        return abs(ahead_us) < (self.master_us(t_us) - self._sync_us) / 2
 
     def on_sync(self, t_us: float, latched: Sequence[int | None]) -> None:
         """A SYNC was on the bus at host time `t_us`.

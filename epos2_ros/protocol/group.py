@@ -35,17 +35,18 @@ from epos2_ros.protocol.cia402 import State
 from epos2_ros.protocol.feeder import Feeder
 from epos2_ros.protocol.frame import Frame
 from epos2_ros.protocol.path_audit import PathAudit
+from epos2_ros.protocol.silence import Silence
 from epos2_ros.protocol.timekeeper import LEAD_US, Timekeeper
 
 SETTLING_SYNCS = 10  # as many periods, and REPLY_TIMEOUT_US, has a group to be ready in
 REPLY_TIMEOUT_US = 1_000_000.0  # for one step of a drive that has been told something
 RESEND_US = 200_000.0  # a controlword without effect so long is sent again
 STOP_TIMEOUT_US = 5_000_000.0  # for an axis to come to rest after a halt or quick stop
+HALT_REACTION_US = 100_000.0  # a drive that has not begun to halt by then is quick-stopped
 ACTIVE_TIMEOUT_US = 200_000.0  # after the start SYNC, for "ip mode active"
 END_TIMEOUT_MS = 500.0  # after the end record, for "ip mode inactive"
 ROUNDING_US = 1.0  # so much later than due, path time has come to it whatever its last digit
 WAIT_SAID_US = 500_000.0  # a motion that waits longer than this for its stamp is told of
-SILENCE_TIMEOUT_US = 1_500_000.0  # a drive not heard so long is lost
 
 
 class Phase(Enum):
@@ -146,6 +147,7 @@ class Group:
             settings.clock_master,
             self._hosts_sync,
         )
+        self._silence = Silence(len(self.axes))
         self.start_us: float | None = None  # host time of the start SYNC: path time zero
         self._start_master_us = 0.0  # the same by the master's clock
         self.reason = ""  # why the last motion was aborted, or what is wrong now
@@ -171,6 +173,10 @@ class Group:
         self._unseen_us = -math.inf
         self._latched = False  # a SYNC is still to make the last of them count
         self._halt_is_fault = False
+        self._quick_stopped: set[int] = set()  # axes by index that the halt did not stop
+        self._said = ""  # of the fault in the log
+        self._why = ""  # the axes were halted, …
+        self._when = ""  # … and how long after the start
         self._handlers: dict[int, Callable[[bytes, float], None]] = {}
         self._echo_handlers: dict[int, Callable[[float], None]] = {
             epos2.SYNC: self._on_sync,
@@ -190,8 +196,6 @@ class Group:
             latched = axis.on_tpdo3(data, t_us)
             axis.audit.on_clock(latched, t_us)
             self.time.on_answer(index, latched, t_us)
-            if self.time.astray(index):
-                self._trouble()
 
         def tpdo4(data: bytes, t_us: float) -> None:
             axis.on_tpdo4(data, t_us)
@@ -216,18 +220,20 @@ class Group:
             (epos2.EMCY + node, emergency),
             (epos2.HEARTBEAT + node, heartbeat),
         ):
-            self._handlers[cob_id] = self._heard(axis, cob_id, handler)
+            self._handlers[cob_id] = self._heard(index, cob_id, handler)
         self._echo_handlers[epos2.RPDO1 + node] = lambda t_us: axis.account.seen_on_bus(t_us)
         self._echo_handlers[epos2.RPDO2 + node] = lambda t_us: self._seen(node)
         self._echo_handlers[epos2.RPDO3 + node] = lambda t_us: self.time.on_stamp(index)
 
     def _heard(
-        self, axis: Axis, cob_id: int, handler: Callable[[bytes, float], None]
+        self, index: int, cob_id: int, handler: Callable[[bytes, float], None]
     ) -> Callable[[bytes, float], None]:
+        axis = self.axes[index]
         reports_buffer = cob_id == epos2.TPDO1 + axis.node_id
 
         def receive(data: bytes, t_us: float) -> None:
             axis.heard_us = t_us
+            self._silence.heard(index)
             handler(data, t_us)
             if axis.statusword & cia402.FAULT_BIT:
                 self._trouble()
@@ -241,6 +247,7 @@ class Group:
 
         Call `advance` afterwards.
         """
+        self._silence.listened(t_us)
         if echo:
             if on_echo := self._echo_handlers.get(frame.can_id):
                 on_echo(t_us)
@@ -282,8 +289,9 @@ class Group:
         Call it when all drives are brought up; from now on they are watched.
         """
         self.time.start(now_us, time_of_day)
-        for axis in self.axes:
+        for index, axis in enumerate(self.axes):
             axis.heard_us = now_us
+            self._silence.heard(index)
         self.advance(now_us)
 
     def enable(self) -> Future[None]:
@@ -357,6 +365,7 @@ class Group:
             self._requests.append(request)
         elif self.phase is Phase.FAULT:
             self._accept(request, Phase.RESETTING)
+            self._said = ""
             for axis in self.axes:
                 axis.emergency = 0
         elif self.phase is Phase.HALTING and self._halt_is_fault:
@@ -385,6 +394,7 @@ class Group:
         axis = self.axes[index]
         axis.restarted = False
         axis.heard_us = now_us
+        self._silence.heard(index)
         axis.report(statusword, now_us)
 
     def fail(self, reason: str) -> None:
@@ -405,7 +415,7 @@ class Group:
         return [
             index
             for index, axis in enumerate(self.axes)
-            if axis.restarted or self._silent(axis) or self.time.astray(index) or index == missing
+            if axis.restarted or self._silent(index) or self.time.astray(index) or index == missing
         ]
 
     def buffer_cleared(self, index: int, error: str = "") -> None:
@@ -506,7 +516,7 @@ class Group:
     def advance(self, now_us: float) -> None:
         """Do what is due at `now_us`, and set `deadline_us`."""
         self._now_us = now_us
-        self._watch_silence()
+        self._watch_drives()
         self._watch_take_back()
         self._progress()
         self.time.advance(now_us, self._may_sync())
@@ -881,9 +891,14 @@ class Group:
 
         A fault takes a reset before anything moves again.
         """
-        self.reason = reason
+        self._why, self._when = reason, ""
+        path_ms = self.path_ms(self._now_us)
+        if fault and self.phase in BEGUN and path_ms is not None:
+            self._when = f", {path_ms / 1000:.3f} s into the motion"
+        self.reason = reason + self._when
         self._halt_is_fault = fault
         if fault:
+            self._say_fault(self.reason)
             self._fail_requests(f"given up: {reason}")
         self._halt_all()
 
@@ -892,6 +907,7 @@ class Group:
         self._take_back()
         still = self.phase in NOT_BEGUN or self.phase is Phase.STANDING
         moving = 0 if still else epos2.ENABLE_IP_MODE
+        self._quick_stopped.clear()
         self._enter(Phase.HALTING)
         for axis in self.axes:
             if axis.state is State.OPERATION_ENABLED:
@@ -909,37 +925,56 @@ class Group:
 
     def _finish_halt(self) -> None:
         """When all stand: clear bit 4 first, then release the halt, or motion starts again."""
-        late = [axis for axis in self.axes if not self._halted(axis)]
+        late = [index for index in range(len(self.axes)) if not self._halted(index)]
         complaints = self._complaints()
         if late and self._now_us <= self._phase_us + STOP_TIMEOUT_US:
+            self._quick_stop_who_does_not_halt(late)
             return
         for axis in self.axes:
             if axis.state is State.OPERATION_ENABLED:
                 self.outbox.append(axis.controlword(cia402.ENABLE_OPERATION | cia402.HALT))
                 self.outbox.append(axis.controlword(cia402.ENABLE_OPERATION))
+        names = ", ".join(str(self.axes[index]) for index in late)
         if late:
-            names = ", ".join(str(axis) for axis in late)
-            self._settle_fault(f"{self.reason}; not at rest after the halt: {names}")
+            self._settle_fault(f"{self.reason}; not at rest after halt and quick stop: {names}")
         elif self._halt_is_fault:
-            known = self.reason in complaints
-            self._settle_fault(complaints if known else f"{self.reason}; {complaints}".rstrip("; "))
+            known = self._why in complaints
+            why = complaints if known else f"{self._why}; {complaints}".rstrip("; ")
+            self._settle_fault(why + self._when)
         elif complaints:
             self._settle_fault(complaints)
+        elif self._quick_stopped:
+            names = ", ".join(str(self.axes[index]) for index in sorted(self._quick_stopped))
+            self._settle_fault(f"{self.reason}; stopped by quick stop, as the halt failed: {names}")
         else:
             if self._next is None:
                 self._fail_motion(self.reason)
             self._moved = True
             self._clear_buffers()
 
-    def _halted(self, axis: Axis) -> bool:
-        if self._silent(axis):
-            return True  # nothing to wait for; its own heartbeat watch stops it
+    def _quick_stop_who_does_not_halt(self, late: Sequence[int]) -> None:
+        """Ip mode ends at once with a halt (note, table 7); the ramp may take its time, half of
+        what there is."""
+        if self._now_us <= self._phase_us + HALT_REACTION_US:
+            return
+        on_ramp = self._now_us <= self._phase_us + STOP_TIMEOUT_US / 2
+        for index in late:
+            axis = self.axes[index]
+            if index in self._quick_stopped or (on_ramp and not axis.ip_active):
+                continue
+            if axis.state is State.OPERATION_ENABLED:
+                self._quick_stopped.add(index)
+                self.outbox.append(axis.controlword(cia402.QUICK_STOP))
+
+    def _halted(self, index: int) -> bool:
+        axis = self.axes[index]
+        if axis.restarted or self._silent(index):
+            return True  # nothing to wait for; it has no power, or its own watch stops it
+        at_rest = bool(axis.statusword & cia402.TARGET_REACHED)
         if axis.state is State.OPERATION_ENABLED:
-            return (
-                axis.statusword_us > self._phase_us
-                and not axis.ip_active
-                and bool(axis.statusword & cia402.TARGET_REACHED)
-            )
+            return axis.statusword_us > self._phase_us and not axis.ip_active and at_rest
+        if axis.state is State.QUICK_STOP_ACTIVE:
+            return at_rest
         return axis.state is not State.FAULT_REACTION_ACTIVE
 
     def _finish_quick_stop(self) -> None:
@@ -960,27 +995,31 @@ class Group:
                 "quick stop: " + ", ".join(f"{axis} is in {axis.state.value}" for axis in moving)
             )
 
-    def _silent(self, axis: Axis) -> bool:
-        return self.time.running and self._now_us > axis.heard_us + SILENCE_TIMEOUT_US
+    def _silent(self, index: int) -> bool:
+        return self.time.running and self._silence.silent(index)
 
-    def _watch_silence(self) -> None:
+    def _watch_drives(self) -> None:
+        """What no frame tells: silence, and clocks that are off."""
         watched = self.phase not in (Phase.FAULT, Phase.HALTING, Phase.RESETTING)
         if watched and (
-            any(self._silent(axis) for axis in self.axes) or self.time.sync_missing(self._now_us)
+            any(self._silent(n) or self._clock_trouble(n) for n in range(len(self.axes)))
+            or self.time.sync_missing(self._now_us)
         ):
             self._trouble()
+
+    def _clock_trouble(self, index: int) -> str:
+        """What is wrong with the clock of a drive, or ""; in motion it takes less."""
+        return self.time.trouble(index, self.phase in BEGUN)
 
     def _complaints(self) -> str:
         """What is wrong with the drives, axis by axis; "" if nothing."""
         words = []
         for index, axis in enumerate(self.axes):
-            if self._silent(axis):
+            if self._silent(index):
                 words.append(f"{axis} is silent: check its power and the bus")
-            elif self.time.astray(index):
-                words.append(f"{axis}: its clock is off by more than half a SYNC period")
             elif axis.restarted:
-                words.append(f"{axis} has restarted")
-            elif trouble := axis.trouble():
+                words.append(f"{axis} has restarted: was its power off?")
+            elif trouble := axis.trouble() or self._clock_trouble(index):
                 words.append(f"{axis}: {trouble}")
         if self.settings.sync_producer is not None and self.time.sync_missing(self._now_us):
             words.append(f"no SYNC from {self.axes[self.settings.sync_producer]}")
@@ -997,10 +1036,16 @@ class Group:
         self._take_back()
         self._faulted = True
         self._enter(Phase.FAULT)
-        self.events.append(Event("fault", reason))
+        self._say_fault(reason)
         self._fail_motion(reason)
         self._fail_requests(reason)
         self._disable_if_asked()
+
+    def _say_fault(self, reason: str) -> None:
+        """At once, and what has come to it when all stand."""
+        if reason != self._said:
+            self.events.append(Event("fault", reason))
+        self._said = reason
 
     def _fail_motion(self, reason: str) -> None:
         self._next = None

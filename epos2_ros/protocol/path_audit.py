@@ -34,11 +34,16 @@ ROUNDING_QC = 1.0  # the demand in whole counts, rounded or cut off
 MAX_DELAY_US = 2_000.0  # from SYNC to sample, or of the start after its SYNC; a cycle for each
 JITTER_US = 100.0  # of that delay; twice the coarsest clock (a bit time at 20 kbit/s) is included
 MISSED_ANSWERS = 3  # in a row, …
-MISSED_ANSWERS_US = 500_000.0  # … and for so long: something is wrong with TPDO3 or TPDO4
+MISSED_ANSWERS_US = 500_000.0  # … and for so long: something is wrong with a drive's answers
 LATE_SYNCS = 4  # an answer may be to one so many SYNCs ago
 STAMP_NOISE_US = 1_000.0  # a frame with a time stamp so much before a SYNC was before it
 _REMEMBERED = 8  # SYNCs, and answers that wait for the other
 _KEPT_MS = 3_000  # of the executed path, for answers that come late
+
+
+def patience_syncs(sync_period_us: float) -> int:
+    """How many SYNCs in a row a drive may leave without an answer."""
+    return max(MISSED_ANSWERS, math.ceil(MISSED_ANSWERS_US / sync_period_us))
 
 
 class PathAudit:
@@ -53,7 +58,7 @@ class PathAudit:
         self._unit_qc_s = velocity_unit_qc_s
         self._allowed_qc = tolerance_qc + ROUNDING_QC
         self._period_us = sync_period_us
-        self._patience = max(MISSED_ANSWERS, math.ceil(MISSED_ANSWERS_US / sync_period_us))
+        self._patience = patience_syncs(sync_period_us)
         self._syncs: deque[tuple[int, float]] = deque(maxlen=_REMEMBERED)  # number, host time
         self.rest(0)
 
@@ -110,7 +115,7 @@ class PathAudit:
         self._unanswered += 1
         if self._unanswered <= self._patience:
             return ""
-        return f"it has not answered {self._patience} SYNCs with clock and position demand"
+        return f"{self._patience} SYNCs in a row without its clock and position demand"
 
     def on_clock(self, latched: int, t_us: float) -> None:
         """What the drive's clock was at the SYNC that it answers (TPDO3)."""
@@ -208,7 +213,7 @@ class PathAudit:
 
     def _complaint(self, path_us: float, demand_qc: int) -> str:
         off_qc = abs(demand_qc - self._position_qc(math.floor(path_us / 1000)))
-        text = f"its demand is {off_qc:.0f} qc off its path at {path_us / 1e6:.3f} s: "
+        text = f"its demand is {off_qc:.0f} qc off its path: "
         if self._follows:
             return text + "a record was lost, repeated or altered"
         if abs(demand_qc - self._start_qc) <= self._allowed_qc:

@@ -18,11 +18,13 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
+from statistics import median
 
 from epos2_ros.protocol import epos2
 from epos2_ros.protocol.axis import Axis
 from epos2_ros.protocol.clock import MasterClock
 from epos2_ros.protocol.frame import Frame
+from epos2_ros.protocol.path_audit import patience_syncs
 
 HEARTBEAT_PERIOD_US = 100_000.0  # of the host; the drives watch it (0x1016)
 HOST_NODE_ID = 127
@@ -31,7 +33,10 @@ ANSWER_US = 500.0  # per axis, for its two synchronous TPDOs, before the next SY
 FOLLOW_UP_US = 40_000.0  # the time stamps wait no longer for a drive's answer, …
 FOLLOW_UP_SHARE = 0.4  # … and no longer than this share of the period
 LEAD_US = 20_000.0  # before a SYNC at a given time: what is to be on the bus before it is sent
-STRAY_ANSWERS = 5  # so many in a row that can't be of the SYNC: the drive's clock has gone astray
+ASTRAY_US = 1_000.0  # a clock so far from the others' is off …
+LATE_US = 5_000.0  # … unless it is, within this, what it was at one of the SYNCs before
+_LATE = "its answers to SYNC come late"
+_REMEMBERED = 8  # SYNCs
 MISSED_SYNCS = 5  # so many periods without the SYNC of a drive, …
 SYNC_SILENCE_US = 1_000_000.0  # … and at least so long: it does not come any more
 
@@ -63,7 +68,11 @@ class Timekeeper:
         self._heartbeat_due_us = math.inf
         self._path_sync_us = math.inf  # from this SYNC on a path is about to begin
         self._begins_path = False  # the last SYNC did
-        self._strays = [0] * len(axes)  # answers in a row that can't be of the SYNC
+        self._patience = patience_syncs(period_us)
+        self._syncs_us: deque[float] = deque(maxlen=_REMEMBERED)  # before the last
+        self._missed = [0] * len(axes)  # SYNCs in a row without an answer that can be of them
+        self._stray = [""] * len(axes)  # what was wrong with the last answer that can't
+        self._off_us = [0.0] * len(axes)  # how far each clock was from the others' at the last SYNC
         self._forget()
 
     def _forget(self) -> None:
@@ -71,6 +80,7 @@ class Timekeeper:
         self._syncing = False  # a SYNC was handed over and is not yet seen on the bus
         self._unstamped_us = math.inf  # when the SYNC was that awaits its time stamps
         self._latched: list[int | None] = [None] * len(self._axes)  # the answers to it
+        self._ahead_us: dict[int, float] = {}  # how far each was from what the clock was to be
         self._slow: list[int] = []  # drives to be corrected half a period after the SYNC
         self._stamps: dict[int, int] = {}  # by drive: handed over, not yet seen on the bus
 
@@ -81,7 +91,9 @@ class Timekeeper:
     def start(self, now_us: float, time_of_day: bytes) -> None:
         """TIME sets every drive's motion clock to zero; SYNC and heartbeat begin."""
         self._forget()
-        self._strays = [0] * len(self._axes)
+        self._missed = [0] * len(self._axes)
+        self._off_us = [0.0] * len(self._axes)
+        self._syncs_us.clear()
         self._outbox.append(Frame(epos2.TIME, time_of_day))
         if self._produces:
             self._sync_due_us = now_us + self._period_us
@@ -94,6 +106,7 @@ class Timekeeper:
         """A SYNC was on the bus; the drives now say what their clocks were."""
         self._forget()
         self.sync_count += 1
+        self._syncs_us.appendleft(self._last_sync_us)
         self._last_sync_us = self._unstamped_us = t_us
         self._begins_path = begins_path
         if begins_path:
@@ -102,11 +115,21 @@ class Timekeeper:
     def on_answer(self, drive: int, latched: int, now_us: float) -> None:
         """A drive has answered a SYNC with what its clock was then."""
         if self._unstamped_us == math.inf:
+            if self._latched[drive] is None:
+                self._stray[drive] = _LATE
             return
-        if not self.clock.answers(drive, latched, self._unstamped_us):
-            self._strays[drive] += 1
+        ahead_us = self.clock.ahead_us(drive, latched, self._unstamped_us)
+        if any(
+            abs(self.clock.ahead_us(drive, latched, sync_us)) < min(LATE_US, abs(ahead_us))
+            for sync_us in self._syncs_us
+        ):
+            self._stray[drive] = _LATE
             return
-        self._strays[drive] = 0
+        self._ahead_us[drive] = ahead_us
+        if not self.clock.answers(ahead_us, self._unstamped_us):
+            self._stray[drive] = f"its clock is off by {ahead_us / 1000:+.1f} ms"
+            return
+        self._missed[drive], self._stray[drive] = 0, ""
         self._latched[drive] = latched
         if None not in self._latched:
             self._follow_up(now_us)
@@ -160,7 +183,19 @@ class Timekeeper:
 
     def astray(self, drive: int) -> bool:
         """Whether a drive's clock is so far off that it can't be corrected."""
-        return self._strays[drive] >= STRAY_ANSWERS
+        return self._missed[drive] >= self._patience
+
+    def trouble(self, drive: int, in_motion: bool) -> str:
+        """What is wrong with a drive's clock or its answers, or "".
+
+        In motion a clock off by more than ASTRAY_US is: the axis is off its path with it.
+        """
+        if self.astray(drive):
+            return self._stray[drive] or f"{self._missed[drive]} SYNCs in a row without its clock"
+        off_us = max(self._off_us[drive], float(self.clock.offset_us[drive]), key=abs)
+        if in_motion and abs(off_us) > ASTRAY_US:
+            return f"its clock is off by {off_us / 1000:+.1f} ms"
+        return ""
 
     def sync_missing(self, now_us: float) -> bool:
         """Whether the drive that should has sent no SYNC for long."""
@@ -213,11 +248,13 @@ class Timekeeper:
         if self._unstamped_us == math.inf:
             return
         clock = self.clock
-        if all(self._strays) and not clock.settled:
+        if all(self._stray) and not clock.settled:
             clock.begin_anew()
-            self._strays = [0] * len(self._axes)
+            self._missed = [0] * len(self._axes)
+            self._stray = [""] * len(self._axes)
         elif self._axes:  # else there is no clock to keep
             clock.on_sync(self._unstamped_us, self._latched)
+            self._compare()
         self._unstamped_us = math.inf
         answered = [drive for drive, value in enumerate(self._latched) if value is not None]
         if self._master is not None:
@@ -231,6 +268,17 @@ class Timekeeper:
         if self._last_sync_us < self._path_sync_us:
             self._slow = [drive for drive in answered if clock.drift[drive] < 0]
         self._correct([drive for drive in answered if drive not in self._slow], now_us)
+
+    def _compare(self) -> None:
+        """Who has not answered, and whose clock is off, going by the others'.
+
+        The host may have noticed the SYNC late: that has put all of them off alike.
+        """
+        ahead_us = self._ahead_us.values()
+        common_us = median(ahead_us) if len(ahead_us) > 2 else min(ahead_us, key=abs, default=0.0)
+        for drive, latched in enumerate(self._latched):
+            self._missed[drive] += latched is None
+            self._off_us[drive] = self._ahead_us.get(drive, common_us) - common_us
 
     def _correct(self, drives: Sequence[int], now_us: float) -> None:
         if not self._produces and now_us > self.next_sync_us - LEAD_US:

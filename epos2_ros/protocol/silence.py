@@ -1,0 +1,40 @@
+"""Which drives are not heard any more, held against them only while the bus is listened to.
+
+A host that is busy, stopped or swamped hears nobody, and what it has missed meanwhile it takes in
+late or never. So silence is not measured by a clock but by what comes in: every frame says that
+the bus was listened to up to its time. The host's own heartbeat is among them every 0.1 s; where
+nothing at all was heard for longer than MAX_GAP_US, the host wasn't listening, and the rest of
+the gap doesn't count. (A bus on which the host's own frames don't appear is the link's to notice.)
+"""
+
+from __future__ import annotations
+
+import math
+
+SILENCE_US = 400_000.0
+"""A drive not heard for so long is lost. It produces a heartbeat every 0.2 s and answers every
+SYNC; with a frame of the host every 0.1 s it is noticed within half a second."""
+MAX_GAP_US = 150_000.0
+
+
+class Silence:
+    """How long each of some drives was not heard. Times are host µs."""
+
+    def __init__(self, drives: int) -> None:
+        self._last_us = -math.inf  # of all frames
+        self._listened_us = 0.0  # for so long the bus was listened to
+        self._heard_us = [0.0] * drives  # the same when each drive was last heard
+
+    def listened(self, t_us: float) -> None:
+        """There was a frame on the bus at `t_us`, whosoever's."""
+        gap_us = t_us - self._last_us
+        if gap_us > 0:
+            self._listened_us += min(gap_us, MAX_GAP_US)
+            self._last_us = t_us
+
+    def heard(self, drive: int) -> None:
+        """The frame was this drive's."""
+        self._heard_us[drive] = self._listened_us
+
+    def silent(self, drive: int) -> bool:
+        return self._listened_us > self._heard_us[drive] + SILENCE_US
