@@ -41,6 +41,8 @@ def _driver(context: LaunchContext) -> list[LifecycleNode]:
     params_file = given("params_file")
     if not Path(params_file).is_file():  # launch_ros would only warn, and the driver simulate
         raise FileNotFoundError(f"params_file: there is no file {params_file}")
+    # Of the driver alone: ROS itself has some thousand lines a second at debug level.
+    logger = f"{given('namespace')}/{given('name')}".strip("/").replace("/", ".")
     use_sim_time = [{"use_sim_time": True}] if given("use_sim_time") == "true" else []
     return [
         LifecycleNode(
@@ -49,7 +51,7 @@ def _driver(context: LaunchContext) -> list[LifecycleNode]:
             name=given("name"),
             namespace=given("namespace"),
             parameters=[params_file, *use_sim_time],
-            ros_arguments=["--log-level", given("log_level")],
+            ros_arguments=["--log-level", f"{logger}:={given('log_level')}"],
             output="screen",
         )
     ]

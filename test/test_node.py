@@ -93,7 +93,9 @@ class FakeDriver:
         config: DriverConfig,
         on_event: Callable[[Event], None],
         on_output: Callable[[OutputEvent], None],
+        on_trace: Callable[[str], None] | None = None,
     ) -> None:
+        self.on_trace = on_trace
         self.config = config
         self.on_event = on_event
         self.on_output = on_output
@@ -400,6 +402,82 @@ def test_an_unexpected_error_is_in_the_log_and_leaves_the_node_unconfigured(worl
     world.wait(lambda: "ZeroDivisionError: a bug" in world.stderr.read_text())
     assert world.state == "unconfigured"
     assert world.drivers[0].calls[-1] == "close"
+
+
+# -- the story in the log ---------------------------------------------------------------------
+
+
+def test_without_autostart_the_log_says_what_to_type(world):
+    world.start(namespace="/robot1", autostart=False, joints=["a"], can__channel="x")
+    assert world.logged("next") == [
+        "unconfigured, 1 simulated drives on virtual x; next: "
+        "ros2 lifecycle set /robot1/epos2_driver configure"
+    ]
+
+
+def test_without_autostart_a_wrong_parameter_is_told_at_start(world):
+    world.start(autostart=False, joints=["a"], axes__a__gear_ratio=-2.0)
+    line = world.logged("configure will fail")[-1]
+    assert line.startswith("configure will fail: axes.a.gear_ratio is -2.0; it must be ")
+
+
+def test_every_request_and_transition_is_a_line(world):
+    driver = world.started(simulate=False)
+    count = len(world.lines())
+    world.enable(False)
+    world.enable(True)
+    for name in ("halt", "quick_stop", "reset_fault"):
+        world.trigger(name)
+    driver.failures["halt"] = DriveError("a does not answer")
+    world.trigger("halt")
+    driver.failures.clear()
+    world.change(Transition.TRANSITION_DEACTIVATE)
+    world.change(Transition.TRANSITION_CLEANUP)
+    world.change(Transition.TRANSITION_UNCONFIGURED_SHUTDOWN)
+    world.logged("shut down")
+    assert world.log[count:] == [
+        ("INFO", "disable: all axes disabled"),
+        ("INFO", "enable: all axes enabled"),
+        ("INFO", "halt: halted"),
+        ("INFO", "quick stop: stopped"),
+        ("INFO", "reset fault: no fault"),
+        ("WARN", "halt failed: a does not answer"),
+        ("INFO", "inactive: all axes disabled"),
+        ("INFO", "unconfigured: the bus is closed"),
+        ("INFO", "shut down"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("kind", "level"),
+    [
+        ("started", "INFO"),
+        ("replaced", "INFO"),
+        ("stopped", "INFO"),  # somebody has asked for it
+        ("cancelled", "INFO"),
+        ("warning", "WARN"),
+        ("aborted", "ERROR"),
+        ("fault", "ERROR"),
+    ],
+)
+def test_only_trouble_is_an_error(world, kind, level):
+    world.started().on_event(Event(kind, f"it is {kind}"))
+    world.logged(f"it is {kind}")
+    assert (level, f"it is {kind}") in world.log
+
+
+def test_steps_are_told_at_debug_level_and_cost_nothing_otherwise(world):
+    assert world.started().on_trace is None
+    assert world.change(Transition.TRANSITION_DEACTIVATE)
+    assert world.change(Transition.TRANSITION_CLEANUP)
+    rclpy.logging.set_logger_level("epos2_driver", rclpy.logging.LoggingSeverity.DEBUG)
+    try:
+        assert world.change(Transition.TRANSITION_CONFIGURE)
+        world.drivers[1].on_trace("a step")
+        world.logged("a step")
+    finally:
+        rclpy.logging.set_logger_level("epos2_driver", rclpy.logging.LoggingSeverity.UNSET)
+    assert ("DEBUG", "a step") in world.log
 
 
 # -- trajectories ----------------------------------------------------------------------------
@@ -796,6 +874,10 @@ class Program:
         self.output += rest
         return self._process.returncode
 
+    def wait(self) -> int:
+        """Its exit status, when it ends by itself."""
+        return self._process.wait(WAIT_S)
+
     def kill(self) -> None:
         self._process.kill()
         self._process.wait()
@@ -838,6 +920,9 @@ def test_ctrl_c_stops_on_the_path(number, program, ros_domain_id, examples, tmp_
         witness.publish(trajectory)
         spin_until(witness, lambda: witness.positions["gantry_x"] > 0.05)  # on its first line
         assert driver.end(number) == 0
+    story = driver.output.index(f"{signal.Signals(number).name}: stopping")
+    assert driver.output.index("stopped on the path") > story
+    assert driver.output.index("shut down") > driver.output.index("inactive: ") > story
     assert "Traceback" not in driver.output
     assert "context" not in driver.output
     x, y = (Executed.load(log, node).demand_qc for node in (1, 2))
@@ -869,6 +954,25 @@ def test_ctrl_c_ends_what_waits_for_its_stamp(program, ros_domain_id, examples, 
     for node in (1, 2):
         with pytest.raises(Epos2RosError, match="did not move"):
             Executed.load(log, node)
+
+
+def test_after_shutdown_by_lifecycle_the_process_ends(program, ros_domain_id):
+    driver = program("--ros-args", "-p", "autostart:=false")
+    driver.read_until("next: ros2 lifecycle set /epos2_driver configure")
+    context = Context()
+    rclpy.init(args=[], context=context, domain_id=ros_domain_id)
+    peer = Node("peer", context=context)
+    client = peer.create_client(ChangeState, "/epos2_driver/change_state")
+    assert client.wait_for_service(WAIT_S)
+    end = Transition(id=Transition.TRANSITION_UNCONFIGURED_SHUTDOWN)
+    answer = client.call_async(ChangeState.Request(transition=end))
+    executor = SingleThreadedExecutor(context=context)
+    rclpy.spin_until_future_complete(peer, answer, executor, timeout_sec=WAIT_S)
+    assert answer.result().success  # it still answers
+    driver.read_until("shut down")
+    assert driver.wait() == 0
+    peer.destroy_node()
+    context.shutdown()
 
 
 def test_a_driver_that_cannot_configure_stays_up_and_ends_cleanly(program):

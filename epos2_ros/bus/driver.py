@@ -55,6 +55,7 @@ from epos2_ros.protocol.path import PathCommander, Placement, refuse_ended
 from epos2_ros.protocol.profile_axes import IN_MOTION as IN_PROFILE_MOTION
 from epos2_ros.protocol.profile_axes import Phase as ProfilePhase
 from epos2_ros.protocol.timekeeper import HOST_NODE_ID, Timekeeper
+from epos2_ros.protocol.trace import Trace
 
 T = TypeVar("T")
 
@@ -71,6 +72,7 @@ class Driver:
         config: DriverConfig,
         on_event: Callable[[Event], None] = lambda event: None,
         on_output: Callable[[OutputEvent], None] = lambda event: None,
+        on_trace: Callable[[str], None] | None = None,
     ) -> None:
         self._all_axes = config.axes
         # The group moves in interpolated position mode; the others beside it.
@@ -103,6 +105,14 @@ class Driver:
             partial(self._announce, on_output),
             self._warn,
         )
+        self._trace: Trace | None = None
+        if on_trace is not None:  # every step, for whoever looks for what is wrong
+            listener = on_trace
+            self._trace = Trace(
+                self._group,
+                self._copley.protocol,
+                lambda line: self._announce(listener, line),
+            )
         self._predictor = Predictor(
             [axis.joint for axis in self._all_axes],
             self._group,
@@ -547,6 +557,8 @@ class Driver:
             self._announce(self._on_event, self._group.events.popleft())
         while self._copley.protocol.events:
             self._announce(self._on_event, Event(*self._copley.protocol.events.popleft()))
+        if self._trace is not None:
+            self._trace.watch()
 
     def _stop_together(self) -> None:
         """One axis in trouble stops all, and at once."""

@@ -34,6 +34,7 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import MultiThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.logging import LoggingSeverity
 from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
@@ -69,7 +70,13 @@ CLOCK_READINGS = 3
 SWITCH_INTERVAL_S = 0.0005  # how long a received frame waits for a computing thread; Python: 5 ms
 
 MakeDriver = Callable[
-    [DriverConfig, Callable[[Event], None], Callable[[OutputEvent], None]], Driver
+    [
+        DriverConfig,
+        Callable[[Event], None],
+        Callable[[OutputEvent], None],
+        Callable[[str], None] | None,
+    ],
+    Driver,
 ]
 Transition = Callable[["DriverNode", LifecycleState], TransitionCallbackReturn]
 
@@ -93,11 +100,17 @@ def _transition(step: Transition) -> Transition:
 
 
 class DriverNode(LifecycleNode):
-    """`/epos2_driver`."""
+    """`/epos2_driver`. `on_finalized` is called when the lifecycle has come to its end."""
 
-    def __init__(self, make_driver: MakeDriver = Driver, **kwargs: Any) -> None:
+    def __init__(
+        self,
+        make_driver: MakeDriver = Driver,
+        on_finalized: Callable[[], None] = lambda: None,
+        **kwargs: Any,
+    ) -> None:
         super().__init__(DRIVER, **kwargs)
         self._make_driver = make_driver
+        self._on_finalized = on_finalized
         self._driver: Driver | None = None
         self._active = False
         self._transitions = threading.RLock()
@@ -151,13 +164,18 @@ class DriverNode(LifecycleNode):
         self._service_change_state.callback = self._on_change_state
         if self._declared["autostart"]:
             self._autostart_timer = self.create_timer(0.0, self._autostart, clock=self._steady)
+        else:
+            self._say_what_is_next("unconfigured", "configure")
+            self._warn_of_parameters()
 
     # -- lifecycle ---------------------------------------------------------------------------
 
     @_transition
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         config = self._declared.config()
-        driver = self._make_driver(config, self._on_event, self._on_output)
+        debugging = self.get_logger().is_enabled_for(LoggingSeverity.DEBUG)
+        on_trace = self._on_trace if debugging else None
+        driver = self._make_driver(config, self._on_event, self._on_output, on_trace)
         driver.configure()
         # What is there by now stays: to look through it for garbage would stop all threads of the
         # process for 70 ms now and then, the one that feeds the drives, too.
@@ -183,6 +201,8 @@ class DriverNode(LifecycleNode):
             self.get_logger().warning(f"configured: {simulated}: no real drive moves")
         else:
             self.get_logger().info(f"configured: {where.format('drives')}")
+        if not self._declared["autostart"]:
+            self._say_what_is_next("all axes off", "activate")
         return TransitionCallbackReturn.SUCCESS
 
     @_transition
@@ -206,6 +226,7 @@ class DriverNode(LifecycleNode):
     @_transition
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         self._release()
+        self.get_logger().info("unconfigured: the bus is closed")
         return TransitionCallbackReturn.SUCCESS
 
     @_transition
@@ -215,11 +236,13 @@ class DriverNode(LifecycleNode):
                 self.on_deactivate(state)
         finally:
             self._release()
+        self.get_logger().info("shut down")
         return TransitionCallbackReturn.SUCCESS
 
     @_transition
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
         self._release()
+        self.get_logger().info("unconfigured after an error: the bus is closed")
         return TransitionCallbackReturn.SUCCESS
 
     def shut_down(self) -> None:
@@ -247,13 +270,31 @@ class DriverNode(LifecycleNode):
             if self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
                 self.trigger_activate()
 
+    def _say_what_is_next(self, now: str, transition: str) -> None:
+        """The line with which somebody who has to go on by hand knows how."""
+        what = "simulated drives" if self._declared["simulate"] else "drives"
+        on = f"{self._declared['can.interface']} {self._declared['can.channel']}"
+        self.get_logger().info(
+            f"{now}, {len(self._declared['joints'])} {what} on {on}; next: "
+            f"ros2 lifecycle set {self.get_fully_qualified_name()} {transition}"
+        )
+
+    def _warn_of_parameters(self) -> None:
+        try:
+            self._declared.config()
+        except Epos2RosError as error:
+            self.get_logger().warning(f"configure will fail: {error}")
+
     def _on_change_state(
         self, request: ChangeState.Request, response: ChangeState.Response
     ) -> ChangeState.Response:
         """rclpy raises on a transition that the state does not have, which would end the node."""
         with self._transitions:
             try:
-                return self._answer_change_state(request, response)
+                response = self._answer_change_state(request, response)
+                if self._state_machine.current_state[1] == "finalized":
+                    self._on_finalized()
+                return response
             except RCLError:
                 state = self._state_machine.current_state[1]
                 self.get_logger().warning(
@@ -344,6 +385,9 @@ class DriverNode(LifecycleNode):
         else:
             self.get_logger().info(event.text)
 
+    def _on_trace(self, line: str) -> None:
+        self.get_logger().debug(line)
+
     # -- services ----------------------------------------------------------------------------
 
     def _offer(self, kind: Any, name: str, answer: Callable[[Any, Any], Any]) -> None:
@@ -351,21 +395,26 @@ class DriverNode(LifecycleNode):
 
     def _offer_trigger(self, name: str, done: str, action: Callable[[Driver], None]) -> None:
         def answer(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-            return self._answer(response, done, lambda: action(self._configured()))
+            what = name.removeprefix("~/").replace("_", " ")
+            return self._answer(response, what, done, lambda: action(self._configured()))
 
         self._offer(Trigger, name, answer)
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         if request.data:
-            return self._answer(response, "all axes enabled", lambda: self._activated().enable())
-        return self._answer(response, "all axes disabled", lambda: self._configured().disable())
+            done = "all axes enabled"
+            return self._answer(response, "enable", done, lambda: self._activated().enable())
+        done = "all axes disabled"
+        return self._answer(response, "disable", done, lambda: self._configured().disable())
 
-    def _answer(self, response: Any, done: str, action: Callable[[], None]) -> Any:
+    def _answer(self, response: Any, what: str, done: str, action: Callable[[], None]) -> Any:
         try:
             action()
             response.success, response.message = True, done
+            self.get_logger().info(f"{what}: {done}")
         except Epos2RosError as error:
             response.success, response.message = False, str(error)
+            self.get_logger().warning(f"{what} failed: {error}")
         return response
 
     def _configured(self) -> Driver:
@@ -391,15 +440,21 @@ def main(argv: Sequence[str] | None = None) -> int:
     # rclpy's own handlers would end the context at once, and the topics with it; here the motion
     # is brought to a stop first. The main thread does nothing but wait, so it gets the signal.
     asked_to_stop = threading.Event()
+    signals: list[str] = []
+
+    def on_signal(number: int, _: object) -> None:
+        signals.append(signal.Signals(number).name)
+        asked_to_stop.set()
+
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: asked_to_stop.set())
+        signal.signal(number, on_signal)
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     try:
         given = given_parameters(args)
         usage.parse_args(remove_ros_args(args))
         more_args, no_log_file = surroundings.without_log_file()
         rclpy.init(args=args + more_args, signal_handler_options=SignalHandlerOptions.NO)
-        node = DriverNode()
+        node = DriverNode(on_finalized=asked_to_stop.set)
         for parameters in given:
             parameters.of(node.get_fully_qualified_name())
     except UnknownROSArgsError as error:
@@ -430,6 +485,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     spinning = threading.Thread(target=spin, name="executor", daemon=True)
     spinning.start()
     asked_to_stop.wait()
+    for name in signals:
+        logger.info(f"{name}: stopping")
     node.shut_down()
     executor.shutdown()
     spinning.join()

@@ -89,8 +89,14 @@ _WALK_TARGET = {
 class Event(NamedTuple):
     """Something a user wants to read in the log."""
 
-    kind: str  # "waiting", "started", "done", "cancelled", "aborted", "fault" or "warning"
+    # "waiting", "started", "replaced", "done", "cancelled", "stopped" (on request, off the path),
+    # "aborted", "fault", "warning" or "debug"
+    kind: str
     text: str
+
+
+HALTED, QUICK_STOPPED = "halted on request", "quick stop on request"
+ON_REQUEST = (HALTED, QUICK_STOPPED)  # reasons that are no fault
 
 
 class End(Enum):
@@ -331,7 +337,7 @@ class Group:
             self._accept(request, Phase.DISABLING)
         return request
 
-    def halt(self, reason: str = "halted on request") -> Future[None]:
+    def halt(self, reason: str = HALTED) -> Future[None]:
         """Stop every axis on its own ramp (profile deceleration), at once; then hold."""
         request: Future[None] = Future()
         if self.phase in NOT_BEGUN:
@@ -354,7 +360,7 @@ class Group:
             self._requests.append(request)
         else:
             self._fail_requests("given up for another request (quick stop)")
-            self._drop_motion("quick stop on request")
+            self._drop_motion(QUICK_STOPPED)
             self._once_started(request, self._quick_stop)
         return request
 
@@ -916,7 +922,7 @@ class Group:
     def _quick_stop(self) -> None:
         self._take_back(cia402.QUICK_STOP)
         if self.phase is not Phase.FAULT:
-            self.reason = "quick stop on request"
+            self.reason = QUICK_STOPPED
         self._fail_motion(self.reason)
         self._enter(Phase.QUICK_STOPPING)
         for axis in self.axes:
@@ -1051,7 +1057,7 @@ class Group:
         self._next = None
         motion, self.motion = self.motion, None
         if motion:
-            self.events.append(Event("aborted", reason))
+            self.events.append(Event("stopped" if reason in ON_REQUEST else "aborted", reason))
             motion.set_exception(MotionAborted(reason))
 
     def _fail_requests(self, reason: str) -> None:

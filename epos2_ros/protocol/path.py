@@ -157,11 +157,15 @@ class PathCommander:
                 if feeder.ending or feeder.committed_ms > placement.at_ms:
                     return False
                 group.replace(reference)
+                if not is_streamed(placement.trajectory):
+                    at_s = placement.at_ms / 1000
+                    group.announce("replaced", f"another trajectory takes over at {at_s:.3f} s")
             case Way.WAIT:
                 if group.phase not in IN_MOTION:
                     return False
                 self.drop_waiting("another trajectory came before it began")
                 self._waiting = placement, execution
+                group.announce("waiting", "the trajectory waits for the axes to come to rest")
                 return True
         self._follow(execution, placement.start_ms)
         return True

@@ -26,6 +26,7 @@ from epos2_ros.protocol import cia402, copley, epos2
 from epos2_ros.protocol.cia402 import State
 from epos2_ros.protocol.executed_path import Demand
 from epos2_ros.protocol.frame import Frame
+from epos2_ros.protocol.group import HALTED, ON_REQUEST, QUICK_STOPPED
 from epos2_ros.protocol.sdo import SdoWrite
 
 RESEND_US = 200_000.0  # a controlword without effect so long is sent again
@@ -229,7 +230,7 @@ class ProfileAxes:
             return _refused("can't disable while moving: stop first")
         return self._accept(Phase.DISABLING)
 
-    def halt(self, reason: str = "halted on request") -> Future[None]:
+    def halt(self, reason: str = HALTED) -> Future[None]:
         """Stop every axis on its deceleration; they hold."""
         if self.phase not in IN_MOTION:
             return _done()
@@ -243,7 +244,7 @@ class ProfileAxes:
         if self.phase is Phase.DISABLED:
             return _done()
         request = self._accept(Phase.QUICK_STOPPING)
-        self.reason = "quick stop on request"
+        self.reason = QUICK_STOPPED
         self._fail_motion(self.reason)
         for axis in self.axes:
             axis.demand = None
@@ -468,7 +469,7 @@ class ProfileAxes:
     def _fail_motion(self, reason: str) -> None:
         motion, self._motion = self._motion, None
         if motion:
-            self.events.append(("aborted", reason))
+            self.events.append(("stopped" if reason in ON_REQUEST else "aborted", reason))
             motion.set_exception(MotionAborted(reason))
 
     # ------------------------------------------------------------------ bookkeeping
