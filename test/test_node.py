@@ -709,7 +709,7 @@ def test_what_is_not_heard_is_stale():
         assert status.level == DiagnosticStatus.STALE
         assert status.message == "not heard any more; it was: operation enabled"
     values = {value.key: value.value for value in drive.values}
-    assert (values["state"], values["not heard for [s]"]) == ("unknown", "7")
+    assert (values["state"], values["not heard for [s]"]) == ("unknown", "7.2")
 
 
 def test_joint_states_are_of_those_that_are_heard(world):

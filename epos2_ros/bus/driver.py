@@ -61,7 +61,6 @@ T = TypeVar("T")
 
 REQUEST_TIMEOUT_S = 30.0  # the group's own limits are shorter; this one guards the wait
 IDLE_US = 100_000.0
-STALE_US = 1_500_000.0  # what a drive said so long ago is shown as stale
 
 
 class Driver:
@@ -443,13 +442,13 @@ class Driver:
             clock_drift_ppm=1e6 * float(clock.drift[index]),
             executed_qc=axis.demand_qc,
             records_sent=axis.account.sent,
-            silent_s=self._silent_s(axis.heard_us),
+            silent_s=self._silent_s(axis.heard_us, self._group.silent(index)),
         )
 
-    def _silent_s(self, heard_us: float) -> float:
+    def _silent_s(self, heard_us: float, silent: bool) -> float:
         """How long a drive has not been heard, if that is longer than it may be."""
         silent_us = now_us() - heard_us
-        lost = self._link is None or self._link.failed or silent_us > STALE_US
+        lost = silent or self._link is None or self._link.failed
         return silent_us / 1e6 if lost else 0.0
 
     def _state(self) -> tuple[str, str]:
@@ -472,7 +471,10 @@ class Driver:
     def _copley_snapshots(self) -> list[AxisSnapshot]:
         nan = math.nan
         snapshots = []
-        for axis, config in zip(self._copley.protocol.axes, self._copley.configs, strict=True):
+        profile = self._copley.protocol
+        for index, (axis, config) in enumerate(
+            zip(profile.axes, self._copley.configs, strict=True)
+        ):
             units, known = AxisUnits.of(config), axis.position_qc is not None
             snapshots.append(
                 AxisSnapshot(
@@ -494,7 +496,7 @@ class Driver:
                     clock_drift_ppm=None,
                     executed_qc=axis.position_qc,
                     records_sent=0,
-                    silent_s=self._silent_s(axis.heard_us),
+                    silent_s=self._silent_s(axis.heard_us, profile.silent(index)),
                 )
             )
         return snapshots

@@ -421,7 +421,7 @@ class Group:
         return [
             index
             for index, axis in enumerate(self.axes)
-            if axis.restarted or self._silent(index) or self.time.astray(index) or index == missing
+            if axis.restarted or self.silent(index) or self.time.astray(index) or index == missing
         ]
 
     def buffer_cleared(self, index: int, error: str = "") -> None:
@@ -974,7 +974,7 @@ class Group:
 
     def _halted(self, index: int) -> bool:
         axis = self.axes[index]
-        if axis.restarted or self._silent(index):
+        if axis.restarted or self.silent(index):
             return True  # nothing to wait for; it has no power, or its own watch stops it
         at_rest = bool(axis.statusword & cia402.TARGET_REACHED)
         if axis.state is State.OPERATION_ENABLED:
@@ -1001,14 +1001,15 @@ class Group:
                 "quick stop: " + ", ".join(f"{axis} is in {axis.state.value}" for axis in moving)
             )
 
-    def _silent(self, index: int) -> bool:
+    def silent(self, index: int) -> bool:
+        """Whether a drive is not heard any more."""
         return self.time.running and self._silence.silent(index)
 
     def _watch_drives(self) -> None:
         """What no frame tells: silence, and clocks that are off."""
         watched = self.phase not in (Phase.FAULT, Phase.HALTING, Phase.RESETTING)
         if watched and (
-            any(self._silent(n) or self._clock_trouble(n) for n in range(len(self.axes)))
+            any(self.silent(n) or self._clock_trouble(n) for n in range(len(self.axes)))
             or self.time.sync_missing(self._now_us)
         ):
             self._trouble()
@@ -1021,7 +1022,7 @@ class Group:
         """What is wrong with the drives, axis by axis; "" if nothing."""
         words = []
         for index, axis in enumerate(self.axes):
-            if self._silent(index):
+            if self.silent(index):
                 words.append(f"{axis} is silent: check its power and the bus")
             elif axis.restarted:
                 words.append(f"{axis} has restarted: was its power off?")

@@ -28,12 +28,12 @@ from epos2_ros.protocol.executed_path import Demand
 from epos2_ros.protocol.frame import Frame
 from epos2_ros.protocol.group import HALTED, ON_REQUEST, QUICK_STOPPED
 from epos2_ros.protocol.sdo import SdoWrite
+from epos2_ros.protocol.silence import Silence
 
 RESEND_US = 200_000.0  # a controlword without effect so long is sent again
 REPLY_TIMEOUT_US = 2_000_000.0  # for one step of a drive that has been told something
 STOP_TIMEOUT_US = 5_000_000.0  # for an axis to come to rest
 ARRIVAL_MARGIN_US = 1_000_000.0  # after a move should be over
-SILENCE_TIMEOUT_US = 1_500_000.0  # a drive not heard so long is lost
 
 
 class Phase(Enum):
@@ -130,6 +130,7 @@ class ProfileAxes:
         self._phase_us = -math.inf
         self._sync_us = -math.inf
         self._watching = False
+        self._silence = Silence(len(self.axes))
         self._unwritten: set[int] = set()
         self._armed: set[int] = set()  # node ids whose "new set-point" is not yet on the bus
         self._request: Future[None] | None = None
@@ -139,13 +140,14 @@ class ProfileAxes:
 
     def receive(self, frame: Frame, t_us: float, echo: bool = False) -> None:
         """Take in a frame; call `advance` afterwards."""
+        self._silence.listened(t_us)
         if frame.can_id == epos2.SYNC:
             self._on_sync(t_us)
         elif echo and frame.can_id & 0x780 == epos2.RPDO2:
             self._armed.discard(frame.can_id & 0x7F)
         elif not echo:
-            for axis in self.axes:
-                self._on_frame(axis, frame, t_us)
+            for index in range(len(self.axes)):
+                self._on_frame(index, frame, t_us)
 
     def _on_sync(self, t_us: float) -> None:
         self._sync_us = t_us
@@ -163,10 +165,11 @@ class ProfileAxes:
             self.start_us = t_us
             self._enter(Phase.STARTING, t_us)
 
-    def _on_frame(self, axis: ProfileAxis, frame: Frame, t_us: float) -> None:
+    def _on_frame(self, index: int, frame: Frame, t_us: float) -> None:
+        axis = self.axes[index]
         node = axis.node_id
         if frame.can_id == epos2.TPDO1 + node:
-            self.report(self.axes.index(axis), copley.TPDO1_LAYOUT.unpack(frame.data)[0], t_us)
+            self.report(index, copley.TPDO1_LAYOUT.unpack(frame.data)[0], t_us)
         elif frame.can_id == epos2.TPDO2 + node:
             position, velocity = copley.TPDO2_LAYOUT.unpack(frame.data)
             axis.position_qc = position
@@ -179,11 +182,13 @@ class ProfileAxes:
         else:
             return
         axis.heard_us = t_us
+        self._silence.heard(index)
 
     def report(self, index: int, statusword: int, t_us: float) -> None:
         """A statusword, from a PDO or read at bring-up."""
         axis = self.axes[index]
         axis.statusword, axis.statusword_us, axis.heard_us = statusword, t_us, t_us
+        self._silence.heard(index)
 
     def reconfigured(self, index: int, statusword: int, now_us: float) -> None:
         """The drive of axis `index` was brought up anew."""
@@ -194,8 +199,9 @@ class ProfileAxes:
     def start_watch(self, now_us: float) -> None:
         """All drives are brought up: from now on one that is silent or restarts is trouble."""
         self._watching = True
-        for axis in self.axes:
+        for index, axis in enumerate(self.axes):
             axis.heard_us = now_us
+            self._silence.heard(index)
 
     def bus_failed(self, reason: str) -> None:
         """Nothing gets through any more; the drives stop by themselves."""
@@ -203,9 +209,13 @@ class ProfileAxes:
             self.reason = reason
             self._settle_fault()
 
+    def silent(self, index: int) -> bool:
+        """Whether a drive is not heard any more."""
+        return self._silence.silent(index)
+
     def lost_axes(self) -> list[int]:
         """Axes that need to be brought up anew: restarted, or silent."""
-        return [n for n, axis in enumerate(self.axes) if axis.restarted or self._silent(axis)]
+        return [n for n, a in enumerate(self.axes) if a.restarted or self.silent(n)]
 
     def written(self, index: int, error: str = "") -> None:
         """Answer to a request in `writing`."""
@@ -411,10 +421,10 @@ class ProfileAxes:
     def _finish_halt(self) -> None:
         late = [
             axis
-            for axis in self.axes
+            for index, axis in enumerate(self.axes)
             if axis.state is State.OPERATION_ENABLED
             and not (axis.at_rest and axis.statusword_us > self._phase_us)
-            and not self._silent(axis)
+            and not self.silent(index)
         ]
         if late:
             names = ", ".join(map(str, late))
@@ -444,14 +454,11 @@ class ProfileAxes:
         complaints = [f"{axis}: {axis.trouble}" for axis in self.axes if axis.trouble]
         complaints += [
             f"{axis} is silent: check its power and the bus"
-            for axis in self.axes
-            if self._silent(axis)
+            for index, axis in enumerate(self.axes)
+            if self.silent(index)
         ]
         if complaints:
             self._stop_all("; ".join(complaints))
-
-    def _silent(self, axis: ProfileAxis) -> bool:
-        return self._now_us > axis.heard_us + SILENCE_TIMEOUT_US
 
     def _limit(self, limit_us: float, reason: str) -> None:
         """A fault if the phase has lasted longer."""
