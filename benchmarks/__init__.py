@@ -1,7 +1,8 @@
 """What docs/ gives figures of, measured: run from the project's folder.
 
 `python -m benchmarks` makes the tables of docs/motion.md, a module for each. `time_sync`,
-`bus_load`, `driver_cpu` and `feeding` run by themselves, on the tests' bench or with the driver.
+`bus_load`, `driver_cpu`, `feeding` and `buslog` run by themselves, on the tests' bench or with the
+driver.
 """
 
 import sys
