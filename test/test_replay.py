@@ -19,7 +19,9 @@ import numpy as np
 import pytest
 from recorded import Recorded, few
 from simulated_time import axes
+from two_processes import TARGET_M, Drives, rig
 
+from epos2_ros.buslog.writer import earlier_files
 from epos2_ros.config import DriverConfig
 from epos2_ros.errors import DriveError
 from epos2_ros.motion.trajectory import Trajectory
@@ -294,6 +296,31 @@ def test_the_drawing_shows_every_axis(tmp_path, replay):
     assert (tmp_path / "one.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_the_driver_itself_on_an_adapter_that_is_pulled_out(tmp_path, replay):
+    """In real time, without echoes; the drives' process is killed with its log open."""
+    drives = Drives(
+        "--slcan",
+        *("--nodes", "1-2"),
+        *("--bus-log", str(tmp_path / "drives.asc")),
+        log=tmp_path / "log.npz",
+    )
+    channel = drives.says.split()[-1]
+    try:
+        with rig("slcan", channel, log_file=str(tmp_path / "run.asc")) as made:
+            made.go_to(TARGET_M)
+            drives.kill()
+            made.wait(lambda snapshot: snapshot.state == "fault")
+    finally:
+        drives.kill()
+    said = replay(tmp_path / "run.asc")
+    assert said.count("done: all axes have arrived") == 1
+    assert said.count(f"FAULT: slcan:{channel} ") == 1
+    assert not said.count("≠")
+    theirs = replay(tmp_path / "drives.asc")
+    assert theirs.count("node 1 .*state: .* → operation enabled") == 1
+    assert theirs.count("node 2 .*end record, after") == 1
+
+
 # ---------------------------------------------------------------------------- differences
 
 
@@ -346,6 +373,33 @@ def test_a_driver_that_is_told_otherwise_differs_in_its_records_alone(tmp_path, 
     assert said.count("done: all axes have arrived") >= 1
 
 
+def test_a_log_that_has_lost_its_beginning_is_entered_where_the_axes_stand(tmp_path, replay):
+    made = Recorded(tmp_path / "run.asc", few(AXES, log_size=1.6))
+    made.enable()
+    for _ in range(3):
+        made.path.submit(there_and_back(8.0), None, made.now_us)
+        made.wait(made.group.motion)
+        made.run(7.0)
+    made.path.submit(there_and_back(8.0), None, made.now_us)
+    made.run(3.0)
+    following_error(made)
+    made.run(1.0)
+    made.close()
+    files = [tmp_path / "run.asc", *earlier_files(tmp_path / "run.asc")]
+    assert len(files) > 4
+    whole = replay(tmp_path / "run.asc", "--brief")
+    assert not whole.count("≠")
+    for number, gone in enumerate(reversed(files[2:]), start=1):
+        gone.unlink()  # the oldest are deleted first
+        said = replay(tmp_path / "run.asc", "--brief")
+        assert said.count("from here on the protocol is run over the log; group: standing") == 1
+        assert not said.count("≠")
+        assert said.count(r"FAULT: .*following error \(0x8611\)") == 1
+        (verdict,) = [line for line in said.last if "that the driver sent" in line]
+        assert re.match(r"all \d{2,} records and controlwords .* are what it would send", verdict)
+        assert said.last[-1].startswith("note: ") and f"part {number + 1} of a log" in said.last[-1]
+
+
 # ---------------------------------------------------------------------------- other logs
 
 
@@ -390,6 +444,30 @@ def test_segmented_transfers_and_aborts_are_followed(tmp_path, replay):
     )
     assert said.count(r"read 0x1FFF-00: no answer") == 1
     assert said.count("NMT: reset node, node 2") == 1
+
+
+def test_answers_that_stand_before_their_requests_and_block_transfers(tmp_path, replay):
+    lines = [
+        "(0.1) can0 582#4B41600037070000",  # Statusword 0737h, before it was asked for
+        "(0.1) can0 602#4041600000000000",
+        "(0.2) can0 602#4140600000000000",
+        "(0.3) can0 602#C6C1200080000000",  # block download of 0x20C1
+        "(0.4) can0 582#A4C1200010000000",
+        "(0.5) can0 602#8123456789ABCDEF",
+        "(0.6) can0 582#A201100000000000",
+        "(0.7) can0 602#C100000000000000",
+        "(0.8) can0 582#A100000000000000",
+        "(0.9) can0 602#2F60600007000000",
+        "(1.0) can0 582#6060600000000000",
+    ]
+    (tmp_path / "some.log").write_text("\n".join(lines) + "\n")
+    said = replay(tmp_path / "some.log")
+    assert [text.split("SDO: ")[1] for _, text in said.lines if "SDO: " in text] == [
+        "read Statusword (0x6041-00) = 0737h, operation enabled",
+        "read Controlword (0x6040-00): no answer",
+        "write Interpolation data record (0x20C1-00), a block transfer",
+        "write Modes of Operation (0x6060-00) = 7 (interpolated position)",
+    ]
 
 
 # ---------------------------------------------------------------------------- broken logs

@@ -87,6 +87,7 @@ class Link:
         self._bus = open_bus(interface, channel, bitrate)
         # Until the probe has shown an echo, frames count as sent when their time is over.
         self._transmitter = Transmitter(self._hand_over, bitrate, echoes=False)
+        self._pumping = False
         self._closing = False
         self._receiver = threading.Thread(target=self._receive, name="CAN receiver", daemon=True)
         self._receiver.start()
@@ -112,9 +113,15 @@ class Link:
 
     def pump(self) -> None:
         """Send what may be sent now; call again at `deadline_us`."""
-        for frame, t_us in self._transmitter.pump(now_us(), self._heard_us):
-            self._count(frame, t_us)
-            self._on_frame(frame, t_us, True)
+        if self._pumping:  # asked by `on_frame`: below the next are told, in their order
+            return
+        self._pumping, through = True, self._transmitter.pump(now_us(), self._heard_us)
+        while through:
+            for frame, t_us in through:
+                self._count(frame, t_us)
+                self._on_frame(frame, t_us, True)
+            through = self._transmitter.pump(now_us(), self._heard_us)
+        self._pumping = False
         if self._transmitter.stalled:
             self._fail(
                 "no longer puts frames on the bus: check the cable, its termination and whether "

@@ -5,10 +5,14 @@ requests, and the times at which they were called make them do the same again. H
 table of those calls: `record` notes them while the driver runs, `repeat` makes them again.
 
 Of the calls of `advance`, those are noted that did something. Frames are the log's own lines.
+
+A log that has lost its beginning can be entered where the axes stood: now and then, at a SYNC, the
+little is noted that a group at rest has to know. Its clock goes its own way from there.
 """
 
 from __future__ import annotations
 
+import math
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
@@ -20,13 +24,18 @@ from epos2_ros.buslog.writer import LogWriter
 from epos2_ros.errors import TrajectoryError
 from epos2_ros.motion.reference import Reference
 from epos2_ros.motion.trajectory import Trajectory
-from epos2_ros.protocol.group import Group
+from epos2_ros.protocol import epos2
+from epos2_ros.protocol.frame import Frame
+from epos2_ros.protocol.group import Group, Phase
 from epos2_ros.protocol.path import PathCommander, Placement
 
 REQUESTS = ("enable", "disable", "halt", "quick_stop", "reset_fault")
 STOPS = ("stop", "drop_waiting")
 REPORTS = ("start_clock", "reconfigured", "fail", "bus_failed", "buffer_cleared")
 POINTS_PER_LINE = 50  # so few that making a line keeps no other thread waiting
+STATE_US = 5_000_000.0  # so often what a group at rest has to know is noted
+EARLY_US = 1_000.0  # so long before a SYNC is seen on the bus it may have been due
+AT_REST = (Phase.DISABLED, Phase.STANDING, Phase.FAULT)
 PLACEMENTS_KEPT = 16  # between being worked out and being committed
 
 Note = Callable[[tuple[Any, ...], Any], None]  # the arguments of a call, and what it returned
@@ -49,7 +58,8 @@ class _Recorder:
         self._inside = False  # a call of ours is running: what it calls is its own doing
         self._phase = group.phase
         self._sending = 0  # frames that waited to be sent before the call
-        self._trajectories = 0
+        self._time_us: float | None = None  # when TIME was on the bus
+        self._state_us = -math.inf  # when the group's state was noted
         self._last: Trajectory | None = None
         self._placed = 0
         self._placements: OrderedDict[int, Placement] = OrderedDict()
@@ -100,6 +110,24 @@ class _Recorder:
     def _note_frame(self, arguments: tuple[Any, ...], result: Any) -> None:
         frame, t_us, echo = (*arguments, False)[:3]
         self._log.frame(t_us, frame.can_id, frame.data, echo)
+        if frame.can_id == epos2.TIME and echo:
+            self._time_us = t_us
+        elif frame.can_id == epos2.SYNC and t_us > self._state_us + STATE_US:
+            self._note_state(t_us)
+
+    def _note_state(self, t_us: float) -> None:
+        group = self._group
+        if group.phase in AT_REST and self._time_us is not None:
+            self._state_us = t_us
+            state = {
+                "phase": group.phase.value,
+                "reason": group.reason,
+                "now_us": t_us,
+                "time_us": self._time_us,
+                "statuswords": [axis.statusword for axis in group.axes],
+                "demands_qc": [axis.demand_qc for axis in group.axes],
+            }
+            self._log.event(t_us, "state", state)
 
     def _note_advance(self, arguments: tuple[Any, ...], result: Any) -> None:
         group, now_us = self._group, arguments[0]
@@ -113,7 +141,6 @@ class _Recorder:
         trajectory, stamp_us, now_us, lead_ms = (*arguments, 0)[:4]
         if trajectory is not self._last:
             self._last = trajectory
-            self._trajectories += 1
             for piece in _pieces(trajectory):
                 self._log.event(now_us, "points", piece)
         self._placed += 1
@@ -185,6 +212,17 @@ class Repeater:
         elif name in STOPS:
             getattr(self._path, name)(*(data or ()))
         return ""
+
+    def enter(self, state: dict[str, Any]) -> None:
+        """Put a group that has done nothing yet into the state that was noted at a SYNC."""
+        group, now_us = self._group, state["now_us"]
+        for index, statusword in enumerate(state["statuswords"]):
+            group.reconfigured(index, statusword, now_us)
+            group.axes[index].demand_qc = state["demands_qc"][index]
+        group.start_clock(now_us - EARLY_US, b"")
+        group.receive(Frame(epos2.TIME), state["time_us"], echo=True)
+        group.outbox.clear()
+        group.phase, group.reason = Phase(state["phase"]), state["reason"]
 
     def _gather(self, piece: dict[str, Any]) -> None:
         if not piece["from"]:

@@ -145,7 +145,7 @@ class Decoder:
             return [Heartbeat(node, data[0] & 0x7F)]
         if function in (REQUEST, RESPONSE) and data:
             follow = self._sdo.request if function == REQUEST else self._sdo.response
-            return self._transferred(follow(node, data))
+            return [self._transferred(transfer) for transfer in follow(node, data)]
         if epos2.TPDO1 <= frame.can_id < RESPONSE:
             return [Unknown("PDO", frame.can_id)]
         return [Unknown("data", frame.can_id)]
@@ -156,15 +156,13 @@ class Decoder:
 
     # ------------------------------------------------------------------ inside
 
-    def _transferred(self, transfer: Transfer | None) -> list[Meaning]:
-        if transfer is None:
-            return []
+    def _transferred(self, transfer: Transfer) -> Meaning:
         done = transfer.abort is None and not transfer.unanswered and not transfer.block
         if done:
             self._objects.learn(transfer)
         if done and transfer.write and transfer.data is not None and len(transfer.data) <= 4:
             self._written(transfer, int.from_bytes(transfer.data, "little"))
-        return [Sdo(transfer)]
+        return Sdo(transfer)
 
     def _written(self, transfer: Transfer, value: int) -> None:
         base, place = transfer.entry & ~(_PDOS - 1), transfer.entry & (_PDOS - 1)

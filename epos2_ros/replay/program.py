@@ -187,9 +187,9 @@ def _configuration(data: Any) -> tuple[DriverConfig | None, list[str]]:
 
 
 def _rerun(reader: LogReader, config: DriverConfig | None) -> Rerun | None:
-    if config is None or reader.host_us is None or not reader.from_the_start:
+    if config is None or reader.host_us is None:
         return None
-    return Rerun(config, reader.host_us)
+    return Rerun(config, reader.host_us, reader.from_the_start)
 
 
 def _title(log: Path, reader: LogReader, config: DriverConfig | None, rerun: Rerun | None) -> str:
@@ -202,7 +202,7 @@ def _title(log: Path, reader: LogReader, config: DriverConfig | None, rerun: Rer
     run_again = (
         "lines with ≠: what this version of the driver would do otherwise"
         if rerun
-        else "the protocol is not run over it: that takes the driver's log from its beginning on"
+        else "the protocol is not run over it: that takes the driver's log"
     )
     return f"{log.name}: {whose}{began}\n{run_again}\n"
 

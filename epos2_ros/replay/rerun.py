@@ -6,13 +6,16 @@ or something reached the driver that the log does not hold. Only this module and
 know the protocol layer.
 
 A frame counts by its COB-ID and its place among those; where one is queued behind others on the
-bus does not matter.
+bus does not matter. A log whose beginning or middle is lost is entered where the axes next stand.
+From there SYNC, heartbeats and time stamps are not compared: their clock began before.
 """
 
 from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
 
 from epos2_ros.bus.settings import axis_setup, group_settings
 from epos2_ros.buslog.asc import EventLine, FrameLine
@@ -34,60 +37,82 @@ _LENGTHS = {epos2.RPDO1: 8, epos2.RPDO2: 2, epos2.RPDO3: 4, epos2.RPDO4: 2}
 
 
 class Rerun:
-    """Takes the lines of a log from its beginning on; gives what differs, and the group's phases.
+    """Takes the lines of a log; gives what differs, and the group's phases.
 
-    `compared` and `differing` count the frames that the driver sent.
+    `whole`: whether the log begins with the run. `compared` and `differing` count the frames that
+    the driver sent.
     """
 
-    def __init__(self, config: DriverConfig, host_us: float) -> None:
+    def __init__(self, config: DriverConfig, host_us: float, whole: bool = True) -> None:
         axes = tuple(axis for axis in config.axes if axis.drive == "epos2")
         self._alone = len(axes) == len(config.axes)  # nobody else makes events
-        config = DriverConfig(**{**vars(config), "axes": axes})
-        self._group = Group([axis_setup(axis) for axis in axes], group_settings(config))
-        self._names = {axis.node_id: str(axis) for axis in self._group.axes}
-        path = PathCommander(self._group, config)
-        self._repeater = Repeater(self._group, path)
+        self._config = replace(config, axes=axes)
         self._host_us = host_us
+        self._running = self._whole = whole
+        self._told: set[int] = set()  # COB-IDs whose first difference in this motion was told
+        self.compared = 0
+        self.differing: Counter[str] = Counter()
+        self._begin()
+
+    def _begin(self) -> None:
+        """A group that has done nothing yet."""
+        axes = [axis_setup(axis) for axis in self._config.axes]
+        self._group = Group(axes, group_settings(self._config))
+        self._names = {axis.node_id: str(axis) for axis in self._group.axes}
+        self._repeater = Repeater(self._group, PathCommander(self._group, self._config))
         self._phase = self._group.phase
         self._expected: dict[int, deque[tuple[float, bytes]]] = {}
         self._replaced: dict[int, bytes] = {}  # what another frame was sent in place of
         self._events: deque[tuple[str, str]] = deque()
-        self._told: set[int] = set()  # COB-IDs whose first difference in this motion was told
         self._bus_works = True
-        self.compared = 0
-        self.differing: Counter[str] = Counter()
-        self.ended = ""  # why it could not go on
 
     # ------------------------------------------------------------------ lines of the log
 
     def frame(self, line: FrameLine) -> Iterator[Told]:
         """A frame that was received, or that the driver's adapter gave back."""
-        if line.kind != "data" or self.ended:
+        if line.kind != "data" or not self._running:
             return
         if line.sent and self._is_ours(line.can_id):
             yield from self._compare(line)
-        frame = Frame(line.can_id, line.data)
-        t_us = round(self._host_us + 1e6 * line.t_s, 3)
         try:
-            self._group.receive(frame, t_us, line.sent)
+            t_us = round(self._host_us + 1e6 * line.t_s, 3)
+            self._group.receive(Frame(line.can_id, line.data), t_us, line.sent)
         except Exception as error:  # whatever a log holds, the timeline goes on
             yield self._give_up(line.t_s, error)
+            return
         yield from self._gather(line.t_s)
 
     def event(self, line: EventLine) -> Iterator[Told]:
         """Something that the driver was asked, or said."""
         t_s, name, data = line
-        if self.ended:
-            return
-        if name in EVENTS:
+        if name == "dropped":
+            yield self._leave(t_s, "entries are missing")
+        elif not self._running and name == "state":
+            yield from self._enter(t_s, data)
+        elif self._running and name in EVENTS:
             yield from self._compare_event(t_s, name, str(data))
-            return
-        if name == "bus_failed":
-            self._bus_works = False
-        elif name == "start_clock":
-            self._bus_works = True
-        elif name == "dropped":
-            yield Told(t_s, None, "≠ entries are missing: what differs from here on may be theirs")
+        elif self._running:
+            yield from self._repeat(t_s, name, data)
+
+    def summary(self) -> str:
+        """What the comparison came to."""
+        if not self.compared:
+            return "nothing that the driver sent could be compared with what it would send now"
+        frames = "frames" if self._whole else "records and controlwords"
+        if not self.differing:
+            return f"all {self.compared} {frames} that the driver sent are what it would send now"
+        count = sum(self.differing.values())
+        which = ", ".join(f"{count} × {what}" for what, count in self.differing.most_common())
+        return (
+            f"of {self.compared} {frames} that the driver sent, "
+            f"{count} are not what it would send now: {which}"
+        )
+
+    # ------------------------------------------------------------------ inside
+
+    def _repeat(self, t_s: float, name: str, data: Any) -> Iterator[Told]:
+        if name in ("bus_failed", "start_clock"):
+            self._bus_works = name == "start_clock"
         try:
             otherwise = self._repeater.event(round(self._host_us + 1e6 * t_s, 3), name, data)
         except Exception as error:  # whatever a log holds, the timeline goes on
@@ -100,31 +125,31 @@ class Rerun:
         yield from self._gather(t_s)
         yield from self._overdue(t_s)
 
-    def summary(self) -> str:
-        """What the comparison came to."""
-        if self.ended:
-            return self.ended
-        if not self.differing:
-            return f"all {self.compared} frames that the driver sent are what it would send now"
-        which = ", ".join(f"{count} × {what}" for what, count in self.differing.most_common())
-        return (
-            f"of {self.compared} frames that the driver sent, "
-            f"{self.differing.total()} are not what it would send now: {which}"
-        )
-
-    # ------------------------------------------------------------------ inside
+    def _enter(self, t_s: float, state: Any) -> Iterator[Told]:
+        """Go on where the axes stand."""
+        self._begin()
+        try:
+            self._repeater.enter(state)
+        except Exception as error:  # whatever a log holds, the timeline goes on
+            yield self._give_up(t_s, error)
+            return
+        self._running, self._whole, self._phase = True, False, self._group.phase
+        text = f"from here on the protocol is run over the log; group: {self._phase.value}"
+        yield Told(t_s, None, text)
 
     def _is_ours(self, can_id: int) -> bool:
+        function = can_id & 0x780
         if can_id in (epos2.SYNC, epos2.TIME, epos2.HEARTBEAT + HOST_NODE_ID):
-            return True
-        return can_id & 0x780 in _LENGTHS and can_id & 0x7F in self._names
+            return self._whole
+        ours = function in _LENGTHS and can_id & 0x7F in self._names
+        return ours and (self._whole or function != epos2.RPDO3)
 
     def _gather(self, t_s: float) -> Iterator[Told]:
         """What the group has made of it."""
         group = self._group
         while group.outbox:
             frame = group.outbox.popleft()
-            if self._bus_works:
+            if self._bus_works and self._is_ours(frame.can_id):
                 self._expected.setdefault(frame.can_id, deque()).append((t_s, frame.data))
         group.clearing.clear()  # carried out by SDO; the log has the answers
         while group.events:
@@ -220,9 +245,12 @@ class Rerun:
         return f"{kind} {number}" if function == epos2.RPDO3 else f"{kind} {_command(number)}"
 
     def _give_up(self, t_s: float, error: Exception) -> Told:
-        why = " ".join(f"{type(error).__name__} {error}".split())
-        self.ended = f"the protocol can't be run over the log beyond {t_s:.6f} s: {why}"
-        return Told(t_s, None, f"≠ {self.ended}")
+        return self._leave(t_s, " ".join(f"{type(error).__name__} {error}".split()))
+
+    def _leave(self, t_s: float, why: str) -> Told:
+        self._running = False
+        text = f"the protocol can't be run over the log from here until the axes stand: {why}"
+        return Told(t_s, None, f"≠ {text}")
 
 
 def _command(value: int) -> str:

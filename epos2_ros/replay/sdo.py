@@ -1,6 +1,8 @@
 """SDO transfers out of the frames of client and server (CiA 301, 7.2.4).
 
 Expedited and segmented transfers are followed; of a block transfer it is told that there was one.
+An answer may stand before its request: where an adapter has no echo, a log has the request at the
+time at which it was through by its length.
 """
 
 from __future__ import annotations
@@ -13,6 +15,7 @@ REQUEST, RESPONSE = 0x600, 0x580  # + node id
 _DOWNLOAD_SEGMENT, _DOWNLOAD, _UPLOAD, _UPLOAD_SEGMENT, _ABORT = range(5)  # client's commands
 _UPLOAD_SEGMENT_ANSWER, _DOWNLOAD_SEGMENT_ANSWER, _UPLOAD_ANSWER, _DOWNLOAD_ANSWER = range(4)
 _BLOCK = (5, 6)
+_BLOCK_WRITTEN, _BLOCK_READ = 0xA1, 0xC1  # the last frame of a node in a block transfer
 
 
 class Transfer(NamedTuple):
@@ -38,10 +41,20 @@ class _Pending:
     subindex: int
     data: bytearray = field(default_factory=bytearray)
     last: bool = True  # the request was the last that carries data
+    awaited: bool = True  # an answer to the last request
+    block: bool = False
 
-    def ended(self, node: int, **how: bool) -> Transfer:
-        whole = bytes(self.data) if self.write or not how else None
-        return Transfer(node, self.write, self.entry, self.subindex, whole, **how)
+    def ended(self, node: int, unanswered: bool = False) -> Transfer:
+        known = not self.block and (self.write or not unanswered)
+        return Transfer(
+            node,
+            self.write,
+            self.entry,
+            self.subindex,
+            bytes(self.data) if known else None,
+            unanswered=unanswered,
+            block=self.block,
+        )
 
 
 class SdoFollower:
@@ -49,65 +62,81 @@ class SdoFollower:
 
     def __init__(self) -> None:
         self._pending: dict[int, _Pending] = {}
+        self._early: dict[int, bytes] = {}  # answers whose request is still to come
 
-    def request(self, node: int, data: bytes) -> Transfer | None:
-        """A frame to a node; a transfer that it ends or shows to have stayed unanswered."""
+    def request(self, node: int, data: bytes) -> list[Transfer]:
+        """A frame to a node; transfers that it ends or shows to have stayed unanswered."""
+        ended = self._request(node, data.ljust(8, b"\0"))
+        early = self._early.pop(node, None)
+        if early is not None and node in self._pending:
+            ended += self._response(node, early)
+        return ended
+
+    def response(self, node: int, data: bytes) -> list[Transfer]:
+        """A frame of a node; the transfer that it ends."""
         data = data.ljust(8, b"\0")
+        current = self._pending.get(node)
+        if current is None or not current.awaited:
+            self._early[node] = data
+            return []
+        return self._response(node, data)
+
+    def _request(self, node: int, data: bytes) -> list[Transfer]:
         command = data[0] >> 5
-        if command in (_DOWNLOAD, _UPLOAD) or command in _BLOCK:
-            before = self._pending.get(node)
-            if command in _BLOCK and before is not None and before.last is False:
-                return None  # goes on
+        current = self._pending.get(node)
+        if current is not None and current.block and data[0] != _ABORT << 5:
+            return []  # its segments look like anything
+        if command in (_DOWNLOAD, _UPLOAD):
             index, subindex = int.from_bytes(data[1:3], "little"), data[3]
-            pending = _Pending(command in (_DOWNLOAD, 6), index, subindex)
+            pending = self._pending[node] = _Pending(command == _DOWNLOAD, index, subindex)
             if command == _DOWNLOAD:
                 pending.last = bool(data[0] & 2)
                 if data[0] & 2:  # expedited
                     size = 4 - (data[0] >> 2 & 3) if data[0] & 1 else 4
                     pending.data += data[4 : 4 + size]
-            if command in _BLOCK:
-                self._pending.pop(node, None)
-                return pending.ended(node, block=True)
-            self._pending[node] = pending
-            return before.ended(node, unanswered=True) if before else None
-        current = self._pending.get(node)
+            return [current.ended(node, unanswered=True)] if current else []
+        if command in _BLOCK:
+            index, subindex = int.from_bytes(data[1:3], "little"), data[3]
+            self._pending[node] = _Pending(command == 6, index, subindex, block=True)
+            return [current.ended(node, unanswered=True)] if current else []
         if current is None:
-            return None
+            return []
+        current.awaited = True
         if command == _DOWNLOAD_SEGMENT and current.write:
             current.data += data[1 : 8 - (data[0] >> 1 & 7)]
             current.last = bool(data[0] & 1)
         elif command == _ABORT:
             del self._pending[node]
-            return self._aborted(node, current, data, by_client=True)
-        return None
+            return [self._aborted(node, current, data, by_client=True)]
+        return []
 
-    def response(self, node: int, data: bytes) -> Transfer | None:
-        """A frame of a node; the transfer that it ends."""
-        data = data.ljust(8, b"\0")
-        current = self._pending.get(node)
-        if current is None:
-            return None
+    def _response(self, node: int, data: bytes) -> list[Transfer]:
+        current = self._pending[node]
+        current.awaited = False
         answer = data[0] >> 5
         if answer == _ABORT:
             del self._pending[node]
-            return self._aborted(node, current, data, by_client=False)
-        if current.write:
-            if answer in (_DOWNLOAD_ANSWER, _DOWNLOAD_SEGMENT_ANSWER) and current.last:
-                del self._pending[node]
-                return current.ended(node)
-            return None
-        if answer == _UPLOAD_ANSWER:
+            return [self._aborted(node, current, data, by_client=False)]
+        if current.block:
+            current.awaited = True
+            if data[0] & 0xE3 not in (_BLOCK_WRITTEN, _BLOCK_READ):
+                return []
+            current.data.clear()
+        elif current.write:
+            if answer not in (_DOWNLOAD_ANSWER, _DOWNLOAD_SEGMENT_ANSWER) or not current.last:
+                return []
+        elif answer == _UPLOAD_ANSWER:
             if not data[0] & 2:
-                return None  # segments follow
+                return []  # segments follow
             current.data += data[4 : 8 - (data[0] >> 2 & 3 if data[0] & 1 else 0)]
         elif answer == _UPLOAD_SEGMENT_ANSWER:
             current.data += data[1 : 8 - (data[0] >> 1 & 7)]
             if not data[0] & 1:
-                return None
+                return []
         else:
-            return None
+            return []
         del self._pending[node]
-        return current.ended(node)
+        return [current.ended(node)]
 
     def unanswered(self) -> list[Transfer]:
         """At the end of the log: what was asked and not answered."""

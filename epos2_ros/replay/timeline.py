@@ -53,7 +53,7 @@ _SAID = {
     "configure_failed": "configure failed",
     "refused": "trajectory refused",
 }
-_SILENT = {"log", "clocks", "advance", "points", "continued", "commit", "start_clock"}
+_SILENT = {"log", "clocks", "advance", "points", "continued", "commit", "start_clock", "state"}
 
 
 class Told(NamedTuple):
