@@ -7,10 +7,12 @@ done to the drives.
 from __future__ import annotations
 
 import math
+import os
 import random
 import re
 import struct
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,7 +25,7 @@ from two_processes import TARGET_M, Drives, rig
 
 from epos2_ros.buslog.writer import earlier_files
 from epos2_ros.config import DriverConfig
-from epos2_ros.errors import DriveError
+from epos2_ros.errors import DriveError, TrajectoryError
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.protocol.group import Phase
 from epos2_ros.replay import program
@@ -319,6 +321,45 @@ def test_the_driver_itself_on_an_adapter_that_is_pulled_out(tmp_path, replay):
     theirs = replay(tmp_path / "drives.asc")
     assert theirs.count("node 1 .*state: .* → operation enabled") == 1
     assert theirs.count("node 2 .*end record, after") == 1
+
+
+@pytest.mark.parametrize("seed", range(int(os.environ.get("REPLAY_RUNS", "6"))))
+def test_whatever_was_asked_in_whatever_phase_is_run_again_the_same(seed, tmp_path, replay):
+    """REPLAY_RUNS=200 for a campaign."""
+    rng = random.Random(seed)
+    source = rng.choice(["host", "host", "joint_2"])
+    made = Recorded(tmp_path / "run.asc", few(AXES, sync_source=source))
+    made.late_us = lambda: rng.choice([0.0, 300.0, 5_000.0, 60_000.0]) * rng.random()
+    names = there_and_back().joint_names
+
+    def submit() -> None:
+        target = np.array([[rng.uniform(-0.1, 0.1) for _ in names]])
+        stamp_us = rng.choice([None, None, made.now_us + rng.uniform(-1e6, 3e5)])
+        made.path.submit(
+            Trajectory(names, np.array([rng.uniform(0.2, 2.0)]), target), stamp_us, made.now_us
+        )
+
+    actions = {
+        submit: 8,
+        made.group.enable: 6,
+        made.path.stop: 2,
+        made.group.halt: 2,
+        made.group.quick_stop: 1,
+        made.group.disable: 1,
+        made.group.reset_fault: 3,
+        lambda: rng.choice(made.drives).fail(rng.choice([0x8611, 0x3210]), made.now_us): 1,
+        lambda: made.group.fail("can0 is error passive"): 1,
+    }
+    made.enable()
+    for action in rng.choices(list(actions), list(actions.values()), k=25):
+        with suppress(TrajectoryError):
+            action()
+        made.run(rng.choice([0.0, 0.001, 0.05, 0.4, 1.5]) * rng.random())
+    made.run(0.5)
+    made.close()
+    said = replay(tmp_path / "run.asc", "--brief")
+    assert [text for _, text in said.lines if "≠" in text] == []
+    assert said.count("asked to") >= 5
 
 
 # ---------------------------------------------------------------------------- differences

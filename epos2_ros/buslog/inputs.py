@@ -4,7 +4,8 @@
 requests, and the times at which they were called make them do the same again. Here is the one
 table of those calls: `record` notes them while the driver runs, `repeat` makes them again.
 
-Of the calls of `advance`, those are noted that did something. Frames are the log's own lines.
+Of the calls of `advance`, those are noted that did something or were due. Frames are the log's own
+lines.
 
 A log that has lost its beginning can be entered where the axes stood: now and then, at a SYNC, the
 little is noted that a group at rest has to know. Its clock goes its own way from there.
@@ -58,6 +59,7 @@ class _Recorder:
         self._inside = False  # a call of ours is running: what it calls is its own doing
         self._phase = group.phase
         self._sending = 0  # frames that waited to be sent before the call
+        self._due_us = -math.inf  # when `advance` was wanted
         self._time_us: float | None = None  # when TIME was on the bus
         self._state_us = -math.inf  # when the group's state was noted
         self._last: Trajectory | None = None
@@ -80,6 +82,7 @@ class _Recorder:
             if self._inside:
                 return method(*arguments, **named)
             self._inside, self._sending = True, len(self._group.outbox)
+            self._due_us = self._group.deadline_us
             result: Any = None
             try:
                 result = method(*arguments, **named)
@@ -134,7 +137,8 @@ class _Recorder:
         data = {} if group.phase is self._phase else {"phase": group.phase.value}
         if round(now_us, 3) != now_us:  # no host's clock, which counts nanoseconds
             data["now_us"] = now_us
-        if len(group.outbox) > self._sending or group.clearing or group.phase is not self._phase:
+        sent = len(group.outbox) > self._sending
+        if sent or group.clearing or group.phase is not self._phase or now_us >= self._due_us:
             self._log.event(now_us, "advance", data or None)
 
     def _note_placement(self, arguments: tuple[Any, ...], result: Any) -> None:
