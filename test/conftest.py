@@ -28,6 +28,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         action="store_true",
         help="refuse to run without control_msgs, which the tests of the action need",
     )
+    parser.addoption(
+        "--fuzz", type=int, default=1, metavar="N", help="N times as many random cases"
+    )
     parser.addoption("--record-reports", type=Path, help="(for the guest) write each report here")
 
 
@@ -40,6 +43,12 @@ def pytest_configure(config: pytest.Config) -> None:
     elif not kernel_has_vcan():
         required = config.getoption("--require-socketcan")
         config.pluginmanager.register(Guest(config, required))
+
+
+@pytest.fixture(scope="session")
+def fuzz(request: pytest.FixtureRequest) -> int:
+    """How many times as many random cases as usual are to be tried."""
+    return int(request.config.getoption("--fuzz"))
 
 
 @pytest.fixture(scope="session")

@@ -9,14 +9,18 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 
+import numpy as np
+
 from epos2_ros.bus.epos2 import Epos2Node
 from epos2_ros.bus.link import Network
 from epos2_ros.bus.settings import axis_setup, drive_settings, group_settings
 from epos2_ros.bus.transmitter import Transmitter
 from epos2_ros.config import AxisConfig, DriverConfig
+from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.protocol.clock import time_of_day
 from epos2_ros.protocol.frame import Frame
 from epos2_ros.protocol.group import Event, Group
+from epos2_ros.protocol.intake import SDO_RESPONSE, Rejects, intake_of
 from epos2_ros.protocol.path import PathCommander
 from epos2_ros.sim.can_bus import SimulatedBus, TransmitQueueFull
 from epos2_ros.sim.epos2 import Epos2
@@ -59,6 +63,8 @@ class Bench:
             [axis_setup(axis) for axis in self.config.axes], group_settings(self.config)
         )
         self.path = PathCommander(self.group, self.config)
+        self.rejects = Rejects()
+        self.intake = intake_of(self.group.axes, self.rejects)
         self.transmitter = Transmitter(self._hand_over, self.config.bitrate, echoes=True)
         self.network = Network(self._send_service)
         self.nodes = [
@@ -126,10 +132,14 @@ class Bench:
 
     def _flush(self) -> None:
         while self.group.outbox:
-            self.transmitter.push(self.group.outbox.popleft())
+            self._push(self.group.outbox.popleft())
         self.transmitter.pump(self.now_us)
         self.events.extend(self.group.events)
         self.group.events.clear()
+
+    def _push(self, frame: Frame) -> None:
+        self.intake.sending(frame)
+        self.transmitter.push(frame)
 
     def _hand_over(self, frame: Frame) -> bool:
         try:
@@ -140,7 +150,7 @@ class Bench:
 
     def _send_service(self, frame: Frame) -> None:
         """canopen asks and waits: the answer has to arrive before this returns."""
-        self.transmitter.push(frame)
+        self._push(frame)
         self.transmitter.pump(self.now_us)
         end_us = self.now_us + SDO_PATIENCE_US
         self._answered = False
@@ -158,9 +168,27 @@ class Bench:
             self.transmitter.on_echo(frame)
         elif can_id & 0x780 == 0x580:
             self._answered = True
-        self.group.receive(frame, self.stamp_us(t_us), echo)
+        accepted = echo or self.intake.accepts(frame)
+        if accepted:
+            self.group.receive(frame, self.stamp_us(t_us), echo)
         self.group.advance(self.now_us)
         self._flush()
-        if not echo:
+        if accepted and not echo and can_id & 0x780 == SDO_RESPONSE:
             self.network.notify(can_id, bytearray(data), t_us / 1e6)
         return self._deadline_us < self._due_us or self._until()
+
+
+def move_on(made: Bench) -> None:
+    """From where the axes stand, to zero in two seconds."""
+    here = [
+        unit.from_qc(float(axis.demand_qc or 0))
+        for unit, axis in zip(made.path._units, made.group.axes, strict=True)
+    ]
+    there = Trajectory(
+        tuple(axis.joint for axis in made.group.axes),
+        np.array([0.0, 2.0]),
+        np.array([here, [0.0] * len(here)]),
+    )
+    made.path.submit(there, None, made.now_us)
+    made.wait(made.group.motion)
+    assert [drive.position_demand for drive in made.drives] == [0] * len(made.drives)

@@ -6,6 +6,7 @@ The drives are in another process; those on `virtual` can only be in the same.
 from __future__ import annotations
 
 import os
+import random
 import time
 import tty
 from collections.abc import Iterator
@@ -87,6 +88,86 @@ def test_slcan_frames_come_whole_however_the_port_cuts_them() -> None:
         assert late is not None and bytes(late.data) == b"\x7f"
     os.close(master)
     os.close(slave)
+
+
+class Line:
+    """A serial line with an adapter's end of it in our hands; `told` is what was dropped."""
+
+    def __init__(self) -> None:
+        pytest.importorskip("serial")
+        self.end, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        self.bus = SlcanBus(os.ttyname(self._slave), sleep_after_open=0)
+        self.told: list[tuple[str, str]] = []
+        self.bus.on_reject = lambda kind, what: self.told.append((kind, what))
+
+    def heard(self, *parts: bytes) -> list[tuple[int, bytes]]:
+        """The frames in what the adapter says; the last of them is 0x7FF."""
+        for part in (*parts, b"t7FF0\r"):
+            os.write(self.end, part)
+        frames = []
+        while (message := self.bus.recv(5.0)) is not None:
+            if message.arbitration_id == 0x7FF:
+                return frames
+            frames.append((message.arbitration_id, bytes(message.data)))
+        raise AssertionError("deaf")
+
+    def close(self) -> None:
+        self.bus.shutdown()
+        os.close(self.end)
+        os.close(self._slave)
+
+
+@pytest.fixture
+def line() -> Iterator[Line]:
+    made = Line()
+    yield made
+    made.close()
+
+
+def test_slcan_lines_that_end_with_cr_and_lf(line: Line) -> None:
+    assert line.heard(b"t1812CAFE\r\nz\r\n\r\nt0800\r\nt701105\r\n") == [
+        (0x181, b"\xca\xfe"),
+        (0x080, b""),
+        (0x701, b"\x05"),
+    ]
+    assert not line.told
+
+
+GARBLED = [
+    b"t", b"t18", b"t181", b"t1812", b"t1812CA", b"t1812CAF", b"t1812CAFEE", b"t1812CAFE80",
+    b"t1819CAFE", b"tXYZ0", b"t-010", b"t 810", b"t1_10", b"t1812CA FE", b"\xff\xfe\x00",
+    b"t1812CAt1812CAFE", b"T00000181", b"T200001810", b"r1819", b"d1819", b"hello", b"t1812CA\xfe",
+]  # fmt: skip
+
+
+def test_garbled_slcan_lines_are_dropped_and_the_next_is_heard(line: Line) -> None:
+    line.heard()
+    for garbage in GARBLED:
+        line.told.clear()
+        assert line.heard(garbage + b"\r", b"t1812CAFE\r") == [(0x181, b"\xca\xfe")], garbage
+        assert line.told == [("garbled serial line", f"garbled line {garbage!r}")]
+    assert line.heard(b"t1812CAFE12AB\r") == [(0x181, b"\xca\xfe")]  # with a time stamp
+    line.told.clear()
+    assert line.heard(bytes(3000), b"\rt1812CAFE\r") == [(0x181, b"\xca\xfe")]
+    assert 1 <= len(line.told) <= 3000 / 64 + 1
+
+
+def test_any_bytes_on_an_slcan_line_do_not_deafen(line: Line, fuzz: int) -> None:
+    rng = random.Random(1)
+    line.heard()
+    for _ in range(200 * fuzz):
+        words = [b"t1812CAFE", b"\r", b"\n", b"\a", b"z", b"T", b"r", rng.randbytes(3), b"7", b"F"]
+        data = b"".join(rng.choice(words) for _ in range(rng.randrange(30)))
+        for can_id, content in line.heard(data, b"\r"):
+            assert can_id < 1 << 29 and len(content) <= 8
+
+
+def test_a_frame_that_the_slcan_adapter_refuses_is_told(line: Line) -> None:
+    assert line.heard(b"\a\a") == []  # whatever it refused while it was opened
+    assert not line.told
+    assert line.heard(b"z\r\az\r") == []
+    assert [kind for kind, _ in line.told] == ["frame refused by the serial adapter"]
 
 
 def test_slcan_pulled_out_and_plugged_in_again(port: Port) -> None:

@@ -41,7 +41,7 @@ from epos2_ros.errors import BusError, DriveError, Epos2RosError, TrajectoryErro
 from epos2_ros.files import read_parameters
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.node import messages
-from epos2_ros.node.driver import EXECUTOR_THREADS, DriverNode, main
+from epos2_ros.node.driver import EXECUTOR_THREADS, DriverNode, main, spin
 from epos2_ros.protocol.group import Event
 from epos2_ros.protocol.outputs import OutputEvent, Tally
 
@@ -150,6 +150,9 @@ class FakeDriver:
     def move_to(self, targets: Mapping[str, float], duration_s: float) -> None:
         self._do(f"move to {dict(targets)} in {duration_s:g} s")
 
+    def broke(self, where: str, error: BaseException) -> None:
+        self._do(f"broke in {where}: {error}")
+
     def snapshot(self) -> Snapshot:
         return self.current
 
@@ -172,10 +175,13 @@ class World:
         ]
         self._executors[0].add_node(self.peer)
         self._threads: list[threading.Thread] = []
+        self._stopped = threading.Event()
         self._spin(self._executors[0])
 
-    def _spin(self, executor: Any) -> None:
+    def _spin(self, executor: Any, node: DriverNode | None = None) -> None:
         thread = threading.Thread(target=executor.spin, daemon=True)
+        if node is not None:
+            thread = threading.Thread(target=spin, args=(executor, node, self._stopped))
         thread.start()
         self._threads.append(thread)
 
@@ -199,7 +205,7 @@ class World:
             make, context=self.context, parameter_overrides=overrides, namespace=namespace
         )
         self._executors[1].add_node(self.node)
-        self._spin(self._executors[1])
+        self._spin(self._executors[1], self.node)
         return self.node
 
     def started(self, **parameters: Any) -> FakeDriver:
@@ -268,6 +274,7 @@ class World:
             driver.failures.clear()
         if self.node is not None:
             self.node.shut_down()
+        self._stopped.set()
         for executor in self._executors:
             executor.shutdown()
         for thread in self._threads:
@@ -502,6 +509,31 @@ def test_a_refused_trajectory_is_one_line(world):
     world.wait(lambda: driver.trajectories)
     world.lines()
     assert world.log[before:] == [("ERROR", f"trajectory refused: {reason}")]
+
+
+def test_a_callback_that_raises_stops_the_axes_and_the_next_is_called(world):
+    driver = world.started()
+    driver.failures["submit"] = ZeroDivisionError("nobody expected this")
+    broke = "broke in a callback: nobody expected this"
+    for count in (1, 2):
+        world.publish_trajectory("a", "b")
+        world.wait(lambda count=count: driver.calls.count(broke) == count)
+    driver.failures.clear()
+    world.publish_trajectory("a", "b")
+    world.wait(lambda: driver.trajectories)
+    assert "ZeroDivisionError: nobody expected this" in world.stderr.read_text()
+    assert world.state == "active"
+
+
+def test_a_service_that_raises_answers_and_stops_the_axes(world):
+    driver = world.started()
+    driver.failures["halt"] = ZeroDivisionError("nobody expected this")
+    answer = world.trigger("halt")
+    assert not answer.success
+    assert answer.message.startswith("internal error: ZeroDivisionError: nobody expected this (")
+    assert "broke in a service: nobody expected this" in driver.calls
+    driver.failures.clear()
+    assert world.trigger("halt").success
 
 
 def test_a_trajectory_is_refused_while_inactive(world):

@@ -120,8 +120,8 @@ def rig(interface: str, channel: str, **settings: object) -> Iterator[Rig]:
     interval = sys.getswitchinterval()
     sys.setswitchinterval(0.0005)
     try:
-        made.driver.configure()
         gc.collect()
+        made.driver.configure()
         gc.freeze()
         made.driver.enable()
         yield made

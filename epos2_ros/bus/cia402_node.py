@@ -14,6 +14,7 @@ from importlib import resources
 import canopen
 
 from epos2_ros.bus.link import Network
+from epos2_ros.bus.sdo_client import RemoteNode
 from epos2_ros.errors import DriveError
 from epos2_ros.protocol import cia402, epos2
 from epos2_ros.protocol.cia402 import State
@@ -49,7 +50,7 @@ class Cia402Node:
     def __init__(self, network: Network, family: Family, joint: str, node_id: int) -> None:
         self.joint = joint
         self._node_id = node_id
-        self.node = canopen.RemoteNode(node_id, family.object_dictionary())
+        self.node = RemoteNode(node_id, family.object_dictionary())
         self._family = family
         network[node_id] = self.node
 
@@ -81,7 +82,7 @@ class Cia402Node:
         except canopen.SdoAbortedError as error:
             raise DriveError(f"{self}: SDO aborted by the drive: {error}") from error
         except canopen.SdoCommunicationError as error:
-            raise DriveError(f"{self} stopped answering SDO requests") from error
+            raise DriveError(f"{self} stopped answering SDO requests: {error}") from error
 
     def read(self, index: int, subindex: int = 0) -> int:
         """The value of an object of the EDS."""

@@ -6,6 +6,7 @@ jobs. What blocks (SDO) runs on a worker, so that feeding never waits for an ans
 
 from __future__ import annotations
 
+import logging
 import math
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -26,6 +27,7 @@ from epos2_ros.bus.reactor import Reactor
 from epos2_ros.bus.settings import axis_setup, drive_settings, group_settings
 from epos2_ros.bus.simulation import Simulation
 from epos2_ros.bus.snapshot import AxisSnapshot, OutputSnapshot, Snapshot
+from epos2_ros.bus.supervisor import Supervisor
 from epos2_ros.bus.timestamps import now_us, wall_offset_us
 from epos2_ros.bus.tracking import Tracking, tracked
 from epos2_ros.bus.worker import Worker
@@ -37,7 +39,6 @@ from epos2_ros.config import AxisConfig, DriverConfig
 from epos2_ros.errors import (
     ConfigurationError,
     DriveError,
-    Epos2RosError,
     MotionAborted,
     TrajectoryError,
 )
@@ -50,6 +51,7 @@ from epos2_ros.protocol.epos2 import BUFFER_SIZE
 from epos2_ros.protocol.execution import Execution
 from epos2_ros.protocol.frame import Frame
 from epos2_ros.protocol.group import IN_MOTION, Event, Group, Phase
+from epos2_ros.protocol.intake import Rejects, Reporter, intake_of
 from epos2_ros.protocol.outputs import OutputEvent
 from epos2_ros.protocol.path import PathCommander, Placement, refuse_ended
 from epos2_ros.protocol.profile_axes import IN_MOTION as IN_PROFILE_MOTION
@@ -78,19 +80,21 @@ class Driver:
         config = replace(config, axes=tuple(a for a in config.axes if a.drive == "epos2"))
         self._config = config
         self._on_event = on_event
-        self._reactor = Reactor(self._step)
+        self._supervisor = Supervisor(self._fail)
+        self._reactor = Reactor(self._step, partial(self._supervisor.broke, "the driver's thread"))
         self._units = [AxisUnits.of(axis) for axis in config.axes]
         self._simulation: Simulation | None = None
         self._link: Link | None = None
         self._log: LogWriter | None = None
         self._nodes: list[Epos2Node] = []
         self._brought_up = False  # all drives, since the link was opened
+        self._doubtful = False  # something of ours has raised: what it knows may be half of it
         self._stops = 0  # how often motions were ended on request, those not yet begun included
         settings = group_settings(config)
         self._producer = settings.sync_producer
         self._group = Group([axis_setup(axis) for axis in config.axes], settings)
         self._path = PathCommander(self._group, config)
-        self._worker = Worker()
+        self._worker = Worker(partial(self._supervisor.broke, "SDO"))
         self._announcer = ThreadPoolExecutor(1, thread_name_prefix="events")
         copley = [axis for axis in self._all_axes if axis.drive == "copley"]
         self._copley = CopleyAxes(copley, self._worker, self._reactor)
@@ -119,7 +123,9 @@ class Driver:
             self._outputs.protocol,
             self._reactor,
             self._warn,
+            self._supervisor,
         )
+        self._rejects = Rejects()
 
     # ------------------------------------------------------------------ life
 
@@ -130,7 +136,7 @@ class Driver:
         """
         try:
             self._configure()
-        except Epos2RosError as error:
+        except Exception as error:
             self._note("configure_failed", str(error))
             self.close()
             raise
@@ -174,11 +180,13 @@ class Driver:
 
     def _open(self) -> None:
         config = self._config
-        self._brought_up = False
+        self._brought_up = self._doubtful = False
+        axes: list[Reporter] = [*self._group.axes, *self._copley.protocol.axes]
         self._link = Link(
             config.interface,
             config.channel,
             config.bitrate,
+            intake_of(axes, self._rejects),
             self._on_frame,
             self._group.fail,
             self._on_failure,
@@ -364,11 +372,12 @@ class Driver:
     def reset_fault(self) -> None:
         """Reopen a bus that failed, bring restarted or lost drives up again, reset every fault.
 
-        The axes stay off.
+        After an internal error all begins anew. The axes stay off.
         """
         lost = self._reactor.call(self._group.lost_axes)
         lost_copley = self._reactor.call(self._copley.protocol.lost_axes)
-        if self._link is not None and (self._link.failed or not self._brought_up):
+        sound = self._link is not None and not self._link.failed and self._brought_up
+        if self._link is not None and (not sound or self._doubtful):
             self._link.close()
             self._open()
             lost = list(range(len(self._nodes)))
@@ -409,6 +418,8 @@ class Driver:
             receive_errors=health.receive_errors,
             start_error_us=self._group.start_error_us,
             simulated=self._config.simulate,
+            rejected=dict(self._rejects.counts),
+            internal_errors=self._supervisor.mistakes,
         )
 
     def _sync_time_source(self) -> str:
@@ -430,7 +441,7 @@ class Driver:
             position=units.from_qc(position_qc) if known else nan,
             velocity=units.from_velocity_units(float(axis.velocity)) if known else nan,
             effort=nan if axis.current_ma is None else axis.current_ma / 1000,
-            stamp_us=axis.measured_us(1e6 / self._config.state_rate),
+            stamp_us=axis.sample_us,
             used=axis.used,
             free=axis.free,
             size=BUFFER_SIZE,
@@ -526,6 +537,26 @@ class Driver:
         self._outputs.receive(frame, t_us, echo)
         self._flush()
 
+    def broke(self, where: str, error: BaseException) -> None:
+        """A callback of the caller's raised `error`: said, all axes stop, and are in fault."""
+        self._supervisor.broke(where, error)
+
+    def _fail(self, reason: str) -> None:
+        """From any thread: stop all axes, and be in fault."""
+        self._reactor.post(partial(self._stop_in_fault, reason))
+
+    def _stop_in_fault(self, reason: str) -> None:
+        self._doubtful = True
+        try:
+            self._group.fail(reason)
+            self._copley.protocol.fail(reason)
+            self._flush()
+        except Exception:
+            # Not even that: the drives stop by themselves when the host is silent.
+            logging.getLogger("epos2_ros").critical("can't stop the axes", exc_info=True)
+            if self._link is not None:
+                self._link.fail(reason)
+
     def _on_failure(self, text: str) -> None:
         self._group.bus_failed(text)
         if self._copley.protocol.axes:
@@ -555,6 +586,8 @@ class Driver:
             self._worker.post(partial(self._clear_buffer, self._group.clearing.popleft()))
         while self._copley.protocol.outbox and self._link is not None:
             self._link.send(self._copley.protocol.outbox.popleft())
+        while self._rejects.notices:
+            self._warn(self._rejects.notices.popleft())
         while self._group.events:
             self._announce(self._on_event, self._group.events.popleft())
         while self._copley.protocol.events:
@@ -578,7 +611,7 @@ class Driver:
             self._note(event.kind, event.text)
         elif isinstance(event, OutputEvent):
             self._note("output", event._asdict())
-        self._announcer.submit(tell, event)
+        self._announcer.submit(self._supervisor.guarded("announcing", partial(tell, event)))
 
     def _note(self, name: str, data: object) -> None:
         """Into the log, if there is one."""
@@ -586,7 +619,9 @@ class Driver:
             self._log.event(now_us(), name, data)
 
     def _on_other(self, kind: str, can_id: int, data: bytes, t_us: float) -> None:
-        if self._log is not None:
+        if kind in ("dropped", "fd"):
+            self._note(kind, [f"{can_id:03X}", data.hex()])
+        elif self._log is not None:
             self._log.other(t_us, kind, can_id, data)
 
     def _move_to(self, targets: Mapping[str, float], duration_s: float) -> None:

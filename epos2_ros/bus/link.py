@@ -24,8 +24,10 @@ from epos2_ros.bus.timestamps import ReceiveClock, now_us
 from epos2_ros.bus.transmitter import Transmitter, worst_case_bits
 from epos2_ros.errors import BusError
 from epos2_ros.protocol.frame import Frame
+from epos2_ros.protocol.intake import SDO_RESPONSE, Intake
 from epos2_ros.receive_buffer import deepen
 
+MAX_UNREADABLE = 10  # in a row: then the interface does not work any more
 PROBE_TIMEOUT_S = 0.2
 RECEIVE_TIMEOUT_S = 0.1  # so often the receiving thread looks whether it is to end
 LOAD_WINDOW_US = 1_000_000.0
@@ -50,12 +52,11 @@ class Network(canopen.Network):
 class Link:
     """An open CAN interface.
 
-    `on_frame(frame, t_us, echo)` is called for every frame on the bus, our own included
-    (`echo`); `on_other(kind, can_id, data, t_us)` for what is none of CANopen's data frames
-    ("error", "remote" or "extended"); `on_disturbance(text)` when the bus gets bad;
-    `on_failure(text)`, once, when nothing gets through any more: then open a new link. All by
-    `post`, which runs a job in the thread that owns this object, as everything but `network` has
-    to be.
+    `on_frame(frame, t_us, echo)` is called for every frame on the bus that `intake` accepts, and
+    for our own (`echo`); `on_other(kind, can_id, data, t_us)` for the rest ("error", "remote",
+    "extended", "fd", "dropped"); `on_disturbance(text)` when the bus gets bad; `on_failure(text)`,
+    once, when nothing gets through any more: then open a new link. All by `post`, which runs a job
+    in the thread that owns this object, as everything but `network` has to be.
     """
 
     def __init__(
@@ -63,6 +64,7 @@ class Link:
         interface: str,
         channel: str,
         bitrate: int,
+        intake: Intake,
         on_frame: OnFrame,
         on_disturbance: Callable[[str], None],
         on_failure: Callable[[str], None],
@@ -75,6 +77,7 @@ class Link:
         self.health = Health()
         self.failed = False
         self._post = post
+        self._intake = intake
         self._on_frame = on_frame
         self._on_disturbance = on_disturbance
         self._on_failure = on_failure
@@ -85,6 +88,8 @@ class Link:
         self._traffic: deque[tuple[float, int]] = deque()
         self._bits = 0
         self._bus = open_bus(interface, channel, bitrate)
+        if isinstance(self._bus, SlcanBus):
+            self._bus.on_reject = self._reject
         # Until the probe has shown an echo, frames count as sent when their time is over.
         self._transmitter = Transmitter(self._hand_over, bitrate, echoes=False)
         self._pumping = False
@@ -108,6 +113,7 @@ class Link:
     def send(self, frame: Frame) -> None:
         """Queue a frame and send what may be sent."""
         if not self.failed:
+            self._intake.sending(frame)
             self._transmitter.push(frame)
             self.pump()
 
@@ -123,7 +129,7 @@ class Link:
             through = self._transmitter.pump(now_us(), self._heard_us)
         self._pumping = False
         if self._transmitter.stalled:
-            self._fail(
+            self.fail(
                 "no longer puts frames on the bus: check the cable, its termination and whether "
                 "any drive is powered"
             )
@@ -153,13 +159,14 @@ class Link:
         )
         try:
             self._bus.send(message)
-        except can.CanOperationError as error:
+        except (can.CanError, OSError) as error:
             if not queue_is_full(error):
-                self._post(partial(self._fail, f"can't send: {error}"))
+                self._post(partial(self.fail, f"can't send: {error}"))
             return False
         return True
 
-    def _fail(self, text: str) -> None:
+    def fail(self, text: str) -> None:
+        """Send nothing any more: something is wrong that only a new link can put right."""
         if not self.failed:
             self.failed = True
             self._transmitter.reset()  # stale frames would be sent when the bus is back
@@ -168,32 +175,48 @@ class Link:
     # ------------------------------------------------------------------ in
 
     def _receive(self) -> None:
+        unreadable: list[str] = []  # in a row
         while not self._closing:
             began_us = now_us()
             try:
                 message = self._bus.recv(RECEIVE_TIMEOUT_S)
-            except (can.CanError, OSError) as error:
+            except Exception as error:  # libraries raise anything on input they don't understand
+                unreadable.append(str(error))
+                code = getattr(error, "errno", None) or getattr(error, "error_code", None)
+                if code is None and len(unreadable) < MAX_UNREADABLE:
+                    continue
                 if not self._closing:
-                    self._post(partial(self._fail, f"can't receive: {error}"))
+                    self._post(partial(self.fail, f"can't receive: {error}"))
                 return
+            if unreadable:
+                self._reject("unreadable input", unreadable[0], len(unreadable))
+                unreadable = []
             if message is not None:
-                self._on_message(message)
+                try:
+                    self._on_message(message, began_us)
+                except Exception as error:  # a mistake of ours
+                    self._post(partial(_raise, error))
             else:
                 self._post(partial(self._nothing_until, began_us))
 
-    def _on_message(self, message: can.Message) -> None:
+    def _on_message(self, message: can.Message, began_us: float) -> None:
         frame = Frame(message.arbitration_id, bytes(message.data))
         t_us = self.clock.host_us(message.timestamp)
-        if message.is_error_frame:
-            self._post(partial(self._on_other, "error", *frame, t_us))
-            self._post(partial(self._take_error, *frame))
-        elif message.is_remote_frame or message.is_extended_id:
-            kind = "remote" if message.is_remote_frame else "extended"
+        if kind := _unused(message):
             self._post(partial(self._on_other, kind, *frame, t_us))
+            self._post(partial(self._nothing_until, began_us))
+            if kind == "error":
+                self._post(partial(self._take_error, *frame))
+            elif message.is_rx:  # else it is ours
+                self._reject(f"{kind} frame", f"{kind} frame 0x{frame.can_id:03X}")
         else:
             if frame == ENTER_PRE_OPERATIONAL:  # ours: there is one NMT master
                 self._echo_seen.set()
             self._post(partial(self._take_in, frame, t_us))
+
+    def _reject(self, kind: str, what: str, times: int = 1) -> None:
+        told = f"{self.name}: {what}"
+        self._post(lambda: self._intake.rejects.add(kind, self.name, told, times))
 
     def _nothing_until(self, t_us: float) -> None:
         self._heard_us = max(self._heard_us, t_us)
@@ -202,15 +225,19 @@ class Link:
         self._heard_us = max(self._heard_us, t_us)
         self._count(frame, t_us)
         echo = self._transmitter.echoes and self._transmitter.on_echo(frame)
-        self._on_frame(frame, t_us, echo)
+        accepted = echo or self._intake.accepts(frame)
+        if accepted:
+            self._on_frame(frame, t_us, echo)
+        else:
+            self._on_other("dropped", *frame, t_us)
         self.pump()
-        if not echo:
+        if accepted and not echo and frame.can_id & 0x780 == SDO_RESPONSE:
             self.network.notify(frame.can_id, bytearray(frame.data), t_us / 1e6)
 
     def _take_error(self, classes: int, data: bytes) -> None:
         self.health.on_error_frame(classes, data)
         if self.health.state is BusState.OFF:
-            self._fail("is bus off: check cable, termination and can.bitrate")
+            self.fail("is bus off: check cable, termination and can.bitrate")
         elif self.health.state is BusState.PASSIVE:
             self._on_disturbance(
                 f"{self.name} is error passive: frames are disturbed or nobody acknowledges them; "
@@ -240,9 +267,25 @@ class Link:
                 self._bus.shutdown()
 
 
-def queue_is_full(error: can.CanOperationError) -> bool:
+def queue_is_full(error: can.CanError | OSError) -> bool:
     """Whether the adapter has refused a frame only because it has taken too many already."""
-    return error.error_code in _QUEUE_FULL or "buffer full" in str(error).lower()
+    code = error.errno if isinstance(error, OSError) else error.error_code
+    return code in _QUEUE_FULL or "buffer full" in str(error).lower()
+
+
+def _unused(message: can.Message) -> str:
+    """The kind of what is none of CANopen's data frames; "" for those."""
+    if message.is_error_frame:
+        return "error"
+    if message.is_fd or len(message.data) > 8:
+        return "fd"
+    if message.is_remote_frame:
+        return "remote"
+    return "extended" if message.is_extended_id else ""
+
+
+def _raise(error: Exception) -> None:
+    raise error
 
 
 def open_bus(interface: str, channel: str, bitrate: int, echoes: bool = True) -> can.BusABC:

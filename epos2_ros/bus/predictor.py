@@ -14,7 +14,7 @@ from functools import partial
 import numpy as np
 
 from epos2_ros.bus.reactor import Reactor
-from epos2_ros.bus.worker import tell_failure
+from epos2_ros.bus.supervisor import Supervisor
 from epos2_ros.motion.compare import predict
 from epos2_ros.motion.crossings import Path
 from epos2_ros.motion.foresight import Foresight
@@ -41,7 +41,9 @@ class Predictor:
         outputs: Outputs,
         reactor: Reactor,
         warn: Callable[[str], None],
+        supervisor: Supervisor,
     ) -> None:
+        self._supervisor = supervisor
         self._group = group
         self._profile = profile
         self._outputs = outputs
@@ -96,7 +98,7 @@ class Predictor:
         self._compute(partial(self._predict, reference, foresights))
 
     def _compute(self, job: Callable[[], None]) -> None:
-        self._thread.submit(job).add_done_callback(tell_failure)
+        self._thread.submit(self._supervisor.guarded("predicting outputs", job))
 
     def _predict(self, reference: Reference, foresights: dict[str, tuple[int, Foresight]]) -> None:
         self._foresights, self._until_ms = foresights, 0

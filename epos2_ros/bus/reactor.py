@@ -2,6 +2,7 @@
 
 Jobs run in the order in which they come, so no thread can starve another by holding a lock. What
 is due by the clock runs after those that have come meanwhile: it sees all that is known by then.
+What raises is reported, and the next job runs.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import queue
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future
+from concurrent.futures import TimeoutError as FutureTimeoutError
 from typing import TypeVar
 
 from epos2_ros.bus.timestamps import now_us
@@ -18,15 +20,20 @@ from epos2_ros.errors import BusError
 T = TypeVar("T")
 Job = Callable[[], None]
 
+CALL_TIMEOUT_S = 10.0  # no job takes so long
+RETRY_US = 10_000.0  # until `step` is called again when it has raised
+
 
 class Reactor:
     """Runs `step` when it is due, and jobs as they come.
 
     `step()` does what is due and returns when it wants to be called next (host time, µs).
+    `on_error` gets what it or a job raises.
     """
 
-    def __init__(self, step: Callable[[], float]) -> None:
+    def __init__(self, step: Callable[[], float], on_error: Callable[[Exception], None]) -> None:
         self._step = step
+        self._on_error = on_error
         self._inbox: queue.SimpleQueue[Job] = queue.SimpleQueue()
         self._stopping = False
         self._thread = threading.Thread(target=self._run, name="reactor", daemon=True)
@@ -46,7 +53,10 @@ class Reactor:
         self._inbox.put(job)
 
     def call(self, function: Callable[[], T]) -> T:
-        """Run `function` in the reactor and return what it returns, or raise what it raises."""
+        """Run `function` in the reactor and return what it returns, or raise what it raises.
+
+        BusError when the reactor does not get to it.
+        """
         if not self._thread.is_alive():
             raise BusError("the bus is not open: configure first")
         answer: Future[T] = Future()
@@ -58,18 +68,39 @@ class Reactor:
                 answer.set_exception(error)
 
         self.post(job)
-        return answer.result()
+        try:
+            return answer.result(CALL_TIMEOUT_S)
+        except FutureTimeoutError as error:
+            if answer.done():  # what the function has raised
+                raise
+            raise BusError(
+                f"the driver's thread has been busy for {CALL_TIMEOUT_S:g} s: does the CAN "
+                "adapter still take frames?"
+            ) from error
 
     def _end(self) -> None:
         self._stopping = True
 
     def _run(self) -> None:
         while not self._stopping:
-            wait_s = (self._step() - now_us()) / 1e6
+            wait_s = (self._guarded_step() - now_us()) / 1e6
             try:
                 job = self._inbox.get(timeout=max(0.0, wait_s))
             except queue.Empty:
                 continue
-            job()
+            self._guarded(job)
             for _ in range(self._inbox.qsize()):
-                self._inbox.get_nowait()()
+                self._guarded(self._inbox.get_nowait())
+
+    def _guarded_step(self) -> float:
+        try:
+            return self._step()
+        except Exception as error:
+            self._on_error(error)
+            return now_us() + RETRY_US
+
+    def _guarded(self, job: Job) -> None:
+        try:
+            job()
+        except Exception as error:
+            self._on_error(error)

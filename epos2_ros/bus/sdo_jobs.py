@@ -26,7 +26,7 @@ def write_all(node: canopen.RemoteNode, writes: Iterable[SdoWrite]) -> None:
                 f"{error}"
             ) from error
         except canopen.SdoCommunicationError as error:
-            raise DriveError(f"node {node.id} stopped answering SDO requests") from error
+            raise DriveError(f"node {node.id} stopped answering SDO requests: {error}") from error
 
 
 def read(node: canopen.RemoteNode, what: SdoRead) -> int:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from epos2_ros.bus.health import BusState
@@ -62,3 +63,5 @@ class Snapshot:
     start_error_us: float | None = None  # of the last start at a given time
     outputs: tuple[OutputSnapshot, ...] = ()
     simulated: bool = False  # the drives are simulated, in the driver's own process
+    rejected: Mapping[str, int] = field(default_factory=dict)  # input that was dropped, by kind
+    internal_errors: int = 0

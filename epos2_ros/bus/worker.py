@@ -12,24 +12,28 @@ from epos2_ros.errors import BusError
 T = TypeVar("T")
 
 
-def tell_failure(job: Future[None]) -> None:
-    """For a job whose answer nobody waits for: what it raised is told, not swallowed."""
-    if not job.cancelled():
-        job.result()  # in a callback of a future, this is logged with its traceback
-
-
 class Worker:
-    """Jobs run one after another, in the order in which they come from any thread."""
+    """Jobs run one after another, in the order in which they come from any thread.
 
-    def __init__(self) -> None:
+    `on_error` gets what a job raises that nobody waits for.
+    """
+
+    def __init__(self, on_error: Callable[[Exception], None]) -> None:
+        self._on_error = on_error
         self._executor = ThreadPoolExecutor(1, thread_name_prefix="sdo")
         self._open = True
         self._lock = threading.Lock()
 
     def post(self, job: Callable[[], None]) -> None:
         """Run `job` soon. Once the worker is closed nothing is: the bus is about to be."""
-        if (answer := self._submit(job)) is not None:
-            answer.add_done_callback(tell_failure)
+
+        def run() -> None:
+            try:
+                job()
+            except Exception as error:
+                self._on_error(error)
+
+        self._submit(run)
 
     def run(self, job: Callable[[], T]) -> T:
         """What `job` returns or raises; BusError when the worker is closed before it is run."""

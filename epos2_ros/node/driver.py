@@ -8,6 +8,7 @@ It translates messages and owns no motion logic. What this file keeps to:
   `_transitions` meanwhile.
 * What goes wrong on purpose (`Epos2RosError`) is one log line and a refused transition or
   `success: false`; the process stays up, so that `configure` can be asked for again.
+* What nobody expected, in whatever callback, stops the axes; the node goes on.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from lifecycle_msgs.srv import ChangeState
 from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock, ClockType
-from rclpy.executors import MultiThreadedExecutor
+from rclpy.executors import Executor, MultiThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.logging import LoggingSeverity
 from rclpy.publisher import Publisher
@@ -46,6 +47,7 @@ from trajectory_msgs.msg import JointTrajectory
 from epos2_ros import surroundings
 from epos2_ros.arguments import given_parameters
 from epos2_ros.bus.driver import Driver
+from epos2_ros.bus.supervisor import described
 from epos2_ros.compare_config import CompareConfig
 from epos2_ros.config import ClockLimits, DriverConfig
 from epos2_ros.errors import Epos2RosError
@@ -176,10 +178,11 @@ class DriverNode(LifecycleNode):
         debugging = self.get_logger().is_enabled_for(LoggingSeverity.DEBUG)
         on_trace = self._on_trace if debugging else None
         driver = self._make_driver(config, self._on_event, self._on_output, on_trace)
-        driver.configure()
         # What is there by now stays: to look through it for garbage would stop all threads of the
-        # process for 70 ms now and then, the one that feeds the drives, too.
+        # process for 70 ms now and then, the one that feeds the drives, too. On a busy machine that
+        # is long enough for drives to miss the host's heartbeat, so once more before there is one.
         gc.collect()
+        driver.configure()
         gc.freeze()
         self._driver = driver
         namespace, channel = self.get_namespace().strip("/"), config.channel
@@ -415,7 +418,18 @@ class DriverNode(LifecycleNode):
         except Epos2RosError as error:
             response.success, response.message = False, str(error)
             self.get_logger().warning(f"{what} failed: {error}")
+        except Exception as error:
+            self.broke("a service", error)
+            response.success, response.message = False, f"internal error: {described(error)}"
         return response
+
+    def broke(self, where: str, error: BaseException) -> None:
+        """A thread or callback raised what nobody expected: said, and all axes stop."""
+        self.get_logger().fatal(
+            f"internal error in {where}:\n{''.join(traceback.format_exception(error))}"
+        )
+        if (driver := self._driver) is not None:
+            driver.broke(where, error)
 
     def _configured(self) -> Driver:
         if self._driver is None:
@@ -429,6 +443,16 @@ class DriverNode(LifecycleNode):
         return driver
 
 
+def spin(executor: Executor, node: DriverNode, stopped: threading.Event) -> None:
+    """Run callbacks until the executor is shut down after `stopped`; none that raises ends it."""
+    while node.context.ok() and not stopped.is_set():
+        try:
+            executor.spin()
+        except Exception as error:
+            if not stopped.is_set():  # else the executor, whose parts are already gone
+                node.broke("a callback", error)
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """`epos2_ros driver`: runs until Ctrl-C or SIGTERM, then stops on the path and returns 0."""
     args = sys.argv[1:] if argv is None else list(argv)
@@ -439,7 +463,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     # rclpy's own handlers would end the context at once, and the topics with it; here the motion
     # is brought to a stop first. The main thread does nothing but wait, so it gets the signal.
-    asked_to_stop = threading.Event()
+    asked_to_stop, stopped = threading.Event(), threading.Event()
     signals: list[str] = []
 
     def on_signal(number: int, _: object) -> None:
@@ -472,29 +496,24 @@ def main(argv: Sequence[str] | None = None) -> int:
         (logger.warning if slow else logger.info)(line)
     executor = MultiThreadedExecutor(EXECUTOR_THREADS)
     executor.add_node(node)
-    broken: list[BaseException] = []
+    threading.excepthook = lambda failed: node.broke(
+        f"thread {failed.thread.name if failed.thread else ''}",
+        failed.exc_value or failed.exc_type(),
+    )
 
-    def spin() -> None:
-        try:
-            executor.spin()
-        except Exception as error:
-            broken.append(error)
-        finally:
-            asked_to_stop.set()
-
-    spinning = threading.Thread(target=spin, name="executor", daemon=True)
+    spinning = threading.Thread(
+        target=spin, args=(executor, node, stopped), name="executor", daemon=True
+    )
     spinning.start()
     asked_to_stop.wait()
     for name in signals:
         logger.info(f"{name}: stopping")
     node.shut_down()
+    stopped.set()
     executor.shutdown()
     spinning.join()
     node.destroy_node()
     rclpy.shutdown()
-    if broken:
-        traceback.print_exception(broken[0])
-        return 1
     return 0
 
 

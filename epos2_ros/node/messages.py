@@ -159,6 +159,8 @@ def _bus_of(snapshot: Snapshot, node: str, channel: str) -> DiagnosticStatus:
         level, message = WARN, f"the controller is {snapshot.bus_state}"
     elif snapshot.dropped_frames or snapshot.error_frames:
         level, message = WARN, "frames were lost or disturbed"
+    elif any(snapshot.rejected.values()):
+        level, message = WARN, "input was dropped that makes no sense here"
     if snapshot.state == "fault":
         level, message = ERROR, snapshot.reason
     return DiagnosticStatus(
@@ -180,6 +182,8 @@ def _bus_of(snapshot: Snapshot, node: str, channel: str) -> DiagnosticStatus:
                 "SYNC count": str(snapshot.sync_count),
                 "SYNC time from": snapshot.sync_time_source,
                 "last start late by [us]": _given(snapshot.start_error_us, ".0f"),
+                "internal errors": str(snapshot.internal_errors),
+                **{f"dropped: {kind}": str(n) for kind, n in snapshot.rejected.items()},
             }
         ),
     )

@@ -398,6 +398,7 @@ class Group:
     def reconfigured(self, index: int, statusword: int, now_us: float) -> None:
         """The drive of axis `index` was brought up anew and answers with `statusword`."""
         axis = self.axes[index]
+        del self._uncleared[index]  # whatever became of that
         axis.restarted = False
         axis.heard_us = now_us
         self._silence.heard(index)
@@ -426,10 +427,9 @@ class Group:
 
     def buffer_cleared(self, index: int, error: str = "") -> None:
         """Answer to a request in `clearing`: access to the buffer is enabled and it is empty."""
+        self._uncleared -= Counter((index,))
         if error:
             self._settle_fault(f"{self.axes[index]}: {error}")
-        else:
-            self._uncleared -= Counter((index,))
 
     @property
     def moving(self) -> bool:

@@ -83,6 +83,14 @@ class ProfileAxis:
         return f"{self.joint} (node {self.node_id})"
 
     @property
+    def pdo_bytes(self) -> dict[int, int]:
+        """By COB-ID, how long the PDOs are that it sends."""
+        return {
+            epos2.TPDO1 + self.node_id: copley.TPDO1_LAYOUT.size,
+            epos2.TPDO2 + self.node_id: copley.TPDO2_LAYOUT.size,
+        }
+
+    @property
     def state(self) -> State:
         return cia402.state_of(self.statusword)
 
@@ -175,7 +183,7 @@ class ProfileAxes:
             axis.position_qc = position
             axis.velocity_qc_s = velocity * copley.VELOCITY_UNIT_COUNTS_S
             axis.sample_us = self._sync_us
-        elif frame.can_id == epos2.EMCY + node and frame.data:
+        elif frame.can_id == epos2.EMCY + node:
             axis.emergency = epos2.EMCY_LAYOUT.unpack(frame.data)[0]
         elif frame.can_id == epos2.HEARTBEAT + node:
             axis.restarted = axis.restarted or frame.data == b"\x00"  # boot-up
@@ -202,6 +210,10 @@ class ProfileAxes:
         for index, axis in enumerate(self.axes):
             axis.heard_us = now_us
             self._silence.heard(index)
+
+    def fail(self, reason: str) -> None:
+        """Something is wrong that no drive says: stop all, and be in fault."""
+        self._stop_all(reason)
 
     def bus_failed(self, reason: str) -> None:
         """Nothing gets through any more; the drives stop by themselves."""
