@@ -23,6 +23,7 @@ setup(
         (SHARE, ["package.xml"]),
         (f"{SHARE}/config", glob("config/*.yaml")),
         (f"{SHARE}/examples", glob("examples/*.yaml") + glob("examples/*.service")),
+        (f"{SHARE}/examples/moveit", glob("examples/moveit/*")),
         (f"{SHARE}/launch", glob("launch/*.launch.py")),
         (f"lib/{NAME}", glob("scripts/*")),  # where `ros2 run` looks
     ],

@@ -175,7 +175,18 @@ def test_a_blocked_axis_is_seen_although_it_does_not_report(bench):
     now = track(bench)
     moved = now.desired.position[0] - now.position[0]
     assert moved > 0.1
-    assert now.commanded(bench.now_us).position[0] - now.desired.position[0] < 0.04 * 3.0
+    assert bench.now_us - now.measured_us[0] < 150_000  # a SYNC period, and two of its reports
+
+
+def test_states_of_axes_that_rest_are_fresh_as_long_as_the_drives_are_heard(bench):
+    """A drive does not repeat a position that has not changed; MoveIt executes nothing unless the
+    robot's state is younger than a second."""
+    bench.run(3.0)
+    now = track(bench)
+    assert now.now_us - now.measured_us.min() < 150_000
+    assert now.now_us - bench.group.axes[0].sample_us > 2e6
+    bench.group.axes[0].heard_us -= 5e6  # silent since
+    assert track(bench).now_us - track(bench).measured_us[0] > 2e6
 
 
 def test_time_from_start_is_the_trajectorys_own(bench):

@@ -55,7 +55,7 @@ class Ended:
     def row(self, joint: str) -> list[str]:
         """The cells of an axis, from "records" on."""
         (line,) = [line for line in self.out.splitlines() if line.startswith(f"{joint} [")]
-        return line.split("]")[1].split()
+        return line.split("]")[1].replace(" … ", "…").split()
 
     def figure(self, name: str) -> str:
         found = re.search(rf"^{name} +(.+)$", self.out, re.MULTILINE)
@@ -267,9 +267,9 @@ def test_limits_stand_beside_what_is_reached(command, tmp_path):
     ended = command("-", "--params", params, stdin=message())
     assert f"{params}; tolerance 3 qc, buffer time 0.25 s" in ended.out
     a = " ".join(ended.row("a"))
-    assert " -0.5 … 2.5 " in a
+    assert " -0.5…2.5 " in a
     assert re.search(r" 3 \*?[\d.]+ 9$", a)
-    assert " −∞ … 1.25 " in " ".join(ended.row("b"))
+    assert "−∞…1.25" in ended.row("b")
 
 
 def test_what_is_beyond_a_limit_is_marked():

@@ -441,7 +441,7 @@ class Driver:
             position=units.from_qc(position_qc) if known else nan,
             velocity=units.from_velocity_units(float(axis.velocity)) if known else nan,
             effort=nan if axis.current_ma is None else axis.current_ma / 1000,
-            stamp_us=axis.sample_us,
+            stamp_us=axis.measured_us(1e6 / self._config.state_rate),
             used=axis.used,
             free=axis.free,
             size=BUFFER_SIZE,

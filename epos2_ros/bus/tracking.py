@@ -19,11 +19,6 @@ from epos2_ros.protocol.path import PathCommander
 
 Array = NDArray[np.float64]
 
-HOLDS_PERIODS = 2.0
-"""A drive reports a position that has changed within a period of `state_rate`. One that was
-reported longer ago than so many periods is therefore still where the axis is: a blocked axis goes
-on not reporting."""
-
 
 @dataclass(frozen=True, eq=False)
 class Tracking:
@@ -85,7 +80,7 @@ def tracked(
         reference = Reference.at_rest(units, here)
     else:
         known_us = zero_us + 1000 * group.feeder.known_from_ms
-    holds_us = now_us - HOLDS_PERIODS * 1e6 / config.state_rate
+    times = np.array([axis.measured_us(1e6 / config.state_rate) for axis in group.axes])
     return Tracking(
         now_us=now_us,
         joints=tuple(axis.joint for axis in group.axes),
@@ -96,7 +91,7 @@ def tracked(
         state=group.describe_phase(),
         position=np.array([_measured(unit, axis.position_qc) for unit, axis in axes]),
         velocity=np.array([unit.from_velocity_units(float(axis.velocity)) for unit, axis in axes]),
-        measured_us=np.array([max(axis.sample_us, holds_us) for _, axis in axes]),
+        measured_us=np.where(np.isfinite(times), times, now_us),
     )
 
 

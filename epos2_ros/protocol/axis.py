@@ -13,6 +13,7 @@ from epos2_ros.protocol.cia402 import State
 from epos2_ros.protocol.frame import Frame
 from epos2_ros.protocol.path_audit import PathAudit
 
+HOLDS_PERIODS = 2.0  # so many of its inhibit time after a change a drive has reported it
 SYNC_ANSWER_AGE_US = 50_000.0  # an answer to SYNC may wait so long for its turn on the bus
 
 
@@ -84,6 +85,17 @@ class Axis:
     def used(self) -> int:
         """Records in the drive's FIFO as it last reported."""
         return epos2.BUFFER_SIZE - self.free
+
+    def measured_us(self, inhibit_us: float) -> float:
+        """The newest time at which it was at `position_qc`; -inf: it has not said yet.
+
+        A position that has changed is reported within the inhibit time. As long as the drive is
+        heard, one that was reported before is therefore where the axis still is: one that rests
+        or is blocked does not repeat it.
+        """
+        if self.position_qc is None:
+            return -math.inf
+        return max(self.sample_us, self.heard_us - HOLDS_PERIODS * inhibit_us)
 
     def report(self, statusword: int, t_us: float) -> None:
         """A statusword, from a PDO or read at bring-up."""
