@@ -27,7 +27,7 @@ from simulated_time import Bench, axes
 from epos2_ros.config import DriverConfig
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.protocol import clock
-from epos2_ros.sim.epos2 import Epos2
+from epos2_ros.sim.epos2 import Dictionary, Epos2
 
 DRIFT_PPM = 100.0
 SETTLED_US = 2e6
@@ -56,10 +56,10 @@ class Clocks:
     common: list[float] = field(default_factory=list)  # of their mean against true time
 
 
-def drives(count: int, record: bool) -> list[Drive]:
+def drives(count: int, record: bool, dictionary: Dictionary = Dictionary.MAKER) -> list[Drive]:
     """`count` drives whose clocks start anywhere and drift evenly from −100 to +100 ppm."""
     return [
-        Drive(n, drift_ppm=drift, offset_us=1e9 * n, record=record)
+        Drive(n, drift_ppm=drift, offset_us=1e9 * n, record=record, dictionary=dictionary)
         for n, drift in enumerate(np.linspace(-DRIFT_PPM, DRIFT_PPM, count), start=1)
     ]
 
@@ -79,7 +79,7 @@ def bench(
         DriverConfig(
             axes=axes(count), sync_period=period_s, sync_source=source, sync_producer=producer
         ),
-        drives(count, record),
+        drives(count, record, Dictionary.MAKER if producer == "host" else Dictionary.NOTE),
         bring_up=False,
     )
     made.late_us = lambda: rng.uniform(0.0, jitter_us)

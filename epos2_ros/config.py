@@ -53,6 +53,7 @@ class SimulationConfig:
 
     drift_ppm: float = 0.0  # each drive's clock runs at 1 + U(-d, d)·1e-6
     seed: int = 0
+    dictionary: str = "maker"  # whose object dictionary an EPOS2 has: "maker" or "note"
     log: str | None = None  # .npz file written at shutdown: executed demand per axis and ms
 
 

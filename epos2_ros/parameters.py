@@ -139,7 +139,10 @@ GROUP: dict[str, Spec] = {
     "can.bitrate": Spec(1_000_000, "bit rate of the bus [bit/s]", choices=BIT_RATES),
     "sync.period": Spec(0.1, "period of the SYNC [s]", 0.005, 1.0),
     "sync.source": Spec("host", "whose clock is the master: host, or a joint with an EPOS2"),
-    "sync.producer": Spec("host", "who sends SYNC: host, or a joint with an EPOS2"),
+    "sync.producer": Spec(
+        "host",
+        "who sends SYNC: host, or a joint whose EPOS2 has 0x1006 (no known firmware has)",
+    ),
     "sync.offset_warning": Spec(100.0, "clock offset of a drive that is a warning [us]", 1.0, 1e6),
     "sync.offset_error": Spec(1000.0, "clock offset of a drive that is an error [us]", 1.0, 1e6),
     "sync.drift_warning": Spec(200.0, "clock drift of a drive that is a warning [ppm]", 1.0, 500.0),
@@ -178,6 +181,12 @@ GROUP: dict[str, Spec] = {
         0.0, "simulated drives: clocks are off by up to this much [ppm]", 0.0, 10_000.0
     ),
     "simulation.seed": Spec(0, "simulated drives: seed of everything random", 0, 2**31 - 1),
+    "simulation.dictionary": Spec(
+        "maker",
+        "simulated EPOS2: object dictionary of the maker's EDS, or of the application note, which "
+        "has 0x1006 (SYNC producer) and maps 0x60C4-02",
+        choices=("maker", "note"),
+    ),
     "simulation.log": Spec("", "simulated drives: .npz file written when the bus closes; '': none"),
 }
 
@@ -316,6 +325,7 @@ class DriverParameters:
             simulation=SimulationConfig(
                 drift_ppm=values["simulation.drift_ppm"],
                 seed=values["simulation.seed"],
+                dictionary=values["simulation.dictionary"],
                 log=values["simulation.log"] or None,
             ),
         )

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from epos2_ros.sim.can_bus import SimulatedBus
-from epos2_ros.sim.epos2 import Epos2
+from epos2_ros.sim.cia402 import Delays
+from epos2_ros.sim.epos2 import Dictionary, Epos2
 
 ASYNCHRONOUS = 255
 
@@ -31,6 +32,11 @@ class Abort(Exception):
     def __init__(self, code: int) -> None:
         super().__init__(f"0x{code:08X}")
         self.code = code
+
+
+def prompt_drive(node_id: int, **settings: Any) -> Epos2:
+    """A drive with the note's dictionary that does everything at once."""
+    return Epos2(node_id, **{"dictionary": Dictionary.NOTE, "delays": Delays(), **settings})
 
 
 def pvt(position: int, velocity: int, time_ms: int) -> bytes:
@@ -177,7 +183,7 @@ class Host:
         self.write(0x6060, 0, mode, 1, node)
         self.control(0x0006, node)
         self.control(0x000F, node)
-        assert self.status(node) & 0x6F == 0x27
+        self.run_until(lambda: self.status(node) & 0x6F == 0x27, 500)
 
     def prepare_ip(self, node: int = 1) -> None:
         """Ready for records on 0x200 + node; the control word by SYNC on 0x300 + node."""

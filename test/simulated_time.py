@@ -16,6 +16,7 @@ from epos2_ros.bus.link import Network
 from epos2_ros.bus.settings import axis_setup, drive_settings, group_settings
 from epos2_ros.bus.transmitter import Transmitter
 from epos2_ros.config import AxisConfig, DriverConfig
+from epos2_ros.errors import DriveError
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.protocol.clock import time_of_day
 from epos2_ros.protocol.frame import Frame
@@ -25,7 +26,7 @@ from epos2_ros.protocol.path import PathCommander
 from epos2_ros.sim.can_bus import SimulatedBus, TransmitQueueFull
 from epos2_ros.sim.epos2 import Epos2
 
-SDO_PATIENCE_US = 20_000.0
+SDO_PATIENCE_US = 300_000.0  # as long as canopen waits
 
 
 def axes(count: int = 6, **changes: object) -> tuple[AxisConfig, ...]:
@@ -121,6 +122,9 @@ class Bench:
     def _deadline_us(self) -> float:
         return min(self.group.deadline_us, self.transmitter.deadline_us)
 
+    def _hear(self) -> None:
+        """What a host that wakes up late has not heard yet."""
+
     def _step(self) -> None:
         self.path.advance(self.now_us)
         self.group.advance(self.now_us)
@@ -129,6 +133,12 @@ class Bench:
             index = self.group.clearing.popleft()
             self.nodes[index].clear_buffer()
             self.group.buffer_cleared(index)
+        while self.group.reads.outbox:
+            index = self.group.reads.outbox.popleft()
+            try:
+                self.nodes[index].free_records()
+            except DriveError as error:
+                self.group.buffer_not_read(index, str(error))
 
     def _flush(self) -> None:
         while self.group.outbox:
@@ -157,6 +167,7 @@ class Bench:
         while self.now_us < end_us and not self._answered:
             self._due_us = min(end_us, self._deadline_us, self.now_us + 500)
             self.bus.run_until(self._due_us, self._on_frame)
+            self._hear()
             self.group.advance(self.now_us)
             self._flush()
 

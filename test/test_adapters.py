@@ -39,13 +39,15 @@ def test_virtual(tmp_path: Path) -> None:
 class Port:
     """A serial port with a simulated slcan adapter plugged in, or none."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, dictionary: str) -> None:
+        self._dictionary = dictionary
         self.path = folder / "ttyACM0"
         self._folder = folder
         self._drives: Drives | None = None
 
     def plug_in(self) -> None:
-        drives = self._drives = Drives("--slcan", "--nodes", "1-2", log=self._folder / "log.npz")
+        arguments = "--slcan", "--nodes", "1-2", "--dictionary", self._dictionary
+        drives = self._drives = Drives(*arguments, log=self._folder / "log.npz")
         self.path.symlink_to(drives.says.split()[-1])
 
     def pull_out(self) -> dict[str, np.ndarray]:
@@ -60,9 +62,10 @@ class Port:
 
 
 @pytest.fixture
-def port(tmp_path: Path) -> Iterator[Port]:
+def port(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Port]:
+    """With drives of the maker's dictionary, or of that the test is parametrised with."""
     pytest.importorskip("serial")
-    made = Port(tmp_path)
+    made = Port(tmp_path, getattr(request, "param", "maker"))
     made.plug_in()
     yield made
     made.close()
@@ -189,6 +192,7 @@ def test_slcan_pulled_out_and_plugged_in_again(port: Port) -> None:
         assert_moves(made)
 
 
+@pytest.mark.parametrize("port", ["note"], indirect=True)  # whose drives can send SYNC
 def test_slcan_has_no_time_stamps_so_a_drive_is_the_clock_and_sends_sync(port: Port) -> None:
     x, y = SCAN.joint_names
     with rig("slcan", str(port.path), sync_source=x, sync_producer=y) as made:

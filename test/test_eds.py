@@ -14,7 +14,7 @@ import pytest
 from canopen.objectdictionary import ODVariable, datatypes
 
 from epos2_ros.protocol import epos2
-from epos2_ros.sim.epos2 import Epos2
+from epos2_ros.sim.epos2 import Dictionary, Epos2
 
 NODE_ID = 5
 EDS = resources.files("epos2_ros") / "eds" / "epos2.eds"
@@ -82,6 +82,9 @@ DRIVE = [
 ]
 # maxon's own objects outside the note
 VENDOR = [
+    (0x2003, 0, U8, "ro", 5, None, False),
+    *[(0x2003, sub, U16, "ro", None, None, False) for sub in range(1, 6)],
+    (0x6007, 0, I16, "rw", 3, (0, 3), False),
     (0x2074, 0, U8, "ro", 6, None, False),
     (0x2074, 1, I32, "ro", None, None, True),
     (0x2074, 2, U8, "rw", 0, (0, 2), False),
@@ -261,13 +264,15 @@ def test_simulated_drive_was_read_from_the_documents_alike(
 ) -> None:
     """Two people's readings: type, access and mapping of every object that both have."""
     common = 0
-    for (index, subindex), simulated in Epos2(NODE_ID).dictionary.items():
+    drive = Epos2(NODE_ID, dictionary=Dictionary.NOTE)
+    for (index, subindex), simulated in drive.dictionary.items():
         found = entry(dictionary, index, subindex)
         key = f"{index:04X}-{subindex:02X}"
         if found.data_type != STRING:
             assert 8 * simulated.type.size == len(found), key
             assert simulated.type.signed == (found.data_type in datatypes.SIGNED_TYPES), key
-        assert simulated.access.replace("const", "ro") == found.access_type.replace("const", "ro")
+        access = found.access_type.replace("const", "ro")
+        assert simulated.access.replace("const", "ro") == access, key
         assert simulated.mappable >= found.pdo_mappable, key
         common += 1
     assert common > 100

@@ -7,7 +7,7 @@ from typing import Any
 import canopen
 import numpy as np
 import pytest
-from sim_host import Host
+from sim_host import Host, prompt_drive
 
 from epos2_ros.bus.epos2 import EPOS2
 from epos2_ros.compare_config import CompareConfig
@@ -126,14 +126,15 @@ def test_the_simulated_drive_has_the_objects_of_the_eds() -> None:
             assert isinstance(variable, canopen.objectdictionary.ODVariable)
             entry = simulated[index, subindex]
             assert 8 * entry.type.size == len(variable), f"{index:04X}-{subindex:02X}"
-            assert entry.access.replace("const", "ro") == variable.access_type
+            access = entry.access.replace("const", "ro").replace("rww", "rw")
+            assert access == variable.access_type
 
 
 class Axis(Host):
     """An enabled EPOS2 in profile position mode."""
 
     def __init__(self) -> None:
-        self.drive = Epos2(1, lag_ms=0.0)
+        self.drive = prompt_drive(1, lag_ms=0.0)
         super().__init__(self.drive)
         self.nmt(0x01)
         for word in (0x06, 0x07, 0x0F):

@@ -36,9 +36,12 @@ def there_and_back(duration_s: float = 2.0, reach: float = 0.3, joints: int = 6)
 
 
 def commanded_qc(t_ms: np.ndarray, axis: int, duration_s: float = 2.0, reach: float = 0.3):
-    """The same, from the minimum-jerk polynomial 10u³ − 15u⁴ + 6u⁵."""
+    """The same, from the minimum-jerk polynomial 10u³ − 15u⁴ + 6u⁵, since the start SYNC.
+
+    The first record holds the position for a millisecond.
+    """
     half = duration_s / 2
-    t = np.clip(t_ms / 1000, 0, duration_s)
+    t = np.clip((t_ms - 1) / 1000, 0, duration_s)
     u = np.where(t < half, t, duration_s - t) / half
     return reach * (1 - axis / 10) * (10 * u**3 - 15 * u**4 + 6 * u**5) * QC_PER_RAD
 
@@ -108,17 +111,20 @@ def test_the_start_sequence_frame_by_frame():
     # execution), none of them the end record (time 0). And one more SYNC with its time stamps,
     # for the clocks to be together.
     records = [f for f in before[:-6] if f.can_id & 0x780 == 0x200]
-    others = [f.can_id for f in before[:-6] if f.can_id & 0x780 != 0x200]
+    others = [f.can_id for f in before[:-6] if f.can_id & 0x780 not in (0x200, 0x600)]
     assert others == [0x080] + [0x400 + n for n in NODES]
     for n in NODES:
         mine = [f.data for f in records if f.can_id == 0x200 + n]
         assert len(mine) >= 3
         assert all(data[7] for data in mine)
-    # Every drive has reported as many as were sent before it was armed (0x60C4-02).
+        # The first holds the position for a millisecond: whatever a drive takes it for.
+        assert mine[0] == bytes(7) + b"\x01"
+    # Every drive has said, before it was armed, that it has as many as were sent (0x60C4-02).
     first_arming = next(t for t, f in sent if f.can_id & 0x780 == 0x300)
     for n in NODES:
-        reports = [f.data for t, f, _ in made.frames if f.can_id == 0x180 + n and t < first_arming]
-        free = int.from_bytes(reports[-1][4:8], "little")
+        answers = [f.data for t, f, _ in made.frames if f.can_id == 0x580 + n and t < first_arming]
+        assert answers[-1][:4] == b"\x43\xc4\x60\x02"
+        free = int.from_bytes(answers[-1][4:8], "little")
         assert 64 - free == sum(f.can_id == 0x200 + n for f in records)
     # Afterwards the time of that SYNC goes to every drive (2.4).
     made.run(0.1)
@@ -144,7 +150,9 @@ def test_a_start_at_a_given_time_is_on_that_time():
     made.path.submit(there_and_back(), at_us, made.now_us)
     made.wait(made.group.motion)
     sync_us = 51.0  # a SYNC's bits at 1 Mbit/s at most: it is on the bus when it has ended
-    assert all(at_us <= drive.ip_start_us <= at_us + sync_us for drive in made.drives)
+    hold_us = 1000.0  # what the first record takes
+    began_us = [drive.ip_start_us + hold_us for drive in made.drives]
+    assert all(at_us <= t_us <= at_us + sync_us for t_us in began_us)
     assert_on_path(made)
 
 
@@ -159,7 +167,7 @@ def test_how_late_a_start_at_a_given_time_was_is_told(late_us):
     made.path.submit(there_and_back(), at_us, made.now_us)
     assert made.group.start_error_us is None
     made.wait(made.group.motion)
-    began_us = made.drives[0].ip_start_us
+    began_us = made.drives[0].ip_start_us + 1000.0  # what the first record takes
     assert late_us <= began_us - at_us <= 2 * late_us + 100
     assert made.group.start_error_us == pytest.approx(began_us + ahead_us - at_us)
     error_us = began_us + ahead_us - at_us

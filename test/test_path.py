@@ -17,6 +17,7 @@ from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.protocol.group import Phase
 from epos2_ros.sim.epos2 import Epos2
 
+HOLD_MS = 1  # after the start SYNC: the first record holds the position
 QC_PER_RAD = 2000 * 100 / (2 * math.pi)
 JOINTS = ("joint_1", "joint_2")
 MAX_VELOCITY, MAX_ACCELERATION = 2.0, 8.0
@@ -76,7 +77,7 @@ def test_replacement_without_a_stop(buffer_time):
     assert path[-1] == pytest.approx([0.0, 0.5], abs=0.6 / QC_PER_RAD)
     # Until the end of what was committed it was the old motion (minimum jerk, 3 s) …
     committed = int(away_ms)
-    u = np.arange(committed) / 3000
+    u = np.clip(np.arange(committed) - HOLD_MS, 0, 3000) / 3000
     old = (10 * u**3 - 15 * u**4 + 6 * u**5)[:, None] * [1.0, -1.0]
     assert np.abs(path[:committed] - old).max() <= 1.0 / QC_PER_RAD
     # … which is at most the buffer time, and it did not stop anywhere between.
@@ -100,7 +101,7 @@ def test_a_refused_replacement_leaves_the_motion_alone():
             bench.path.submit(wrong, None, bench.now_us)
     run_to_end(bench)
     path = executed(bench)
-    u = np.arange(2001) / 2000
+    u = np.clip(np.arange(2001) - HOLD_MS, 0, 2000) / 2000
     wanted = 0.5 * (10 * u**3 - 15 * u**4 + 6 * u**5)
     assert np.abs(path[:2001] - wanted[:, None]).max() <= 1.0 / QC_PER_RAD
 
@@ -113,10 +114,10 @@ def test_the_same_trajectory_again_with_the_same_stamp_changes_nothing():
     bench.run(0.8)
     bench.path.submit(trajectory, start_us, bench.now_us)
     run_to_end(bench)
-    u = np.clip(np.arange(2001) / 2000, 0, 1)
+    u = np.clip((np.arange(2001) - HOLD_MS) / 2000, 0, 1)
     wanted = 0.5 * (10 * u**3 - 15 * u**4 + 6 * u**5)
     path = executed(bench)[:2001]
-    # the start SYNC is on the bus some µs after the stamp, rounded to a millisecond
+    # the path's zero is on the bus some µs after the stamp, rounded to a millisecond
     assert np.abs(path - wanted[:, None] * [1, -1]).max() <= 1.5 / QC_PER_RAD
 
 

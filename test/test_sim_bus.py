@@ -11,10 +11,9 @@ from collections import deque
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from sim_host import Host
+from sim_host import Host, prompt_drive
 
 from epos2_ros.sim.can_bus import SimulatedBus, TransmitQueueFull, frame_bits
-from epos2_ros.sim.epos2 import Epos2
 
 INTERFRAME = 3
 Frames = list[tuple[int, bytes, float, bool]]
@@ -75,7 +74,7 @@ def test_frames_follow_after_the_interframe_space() -> None:
 
 def test_lowest_identifier_wins() -> None:
     """All contend at the end of the frame before; within a queue order is kept."""
-    drives = [Epos2(n) for n in (3, 1, 2)]
+    drives = [prompt_drive(n) for n in (3, 1, 2)]
     bus = SimulatedBus()
     for drive in drives:
         bus.add(drive)
@@ -144,7 +143,7 @@ def test_load() -> None:
 
 
 def test_lost_frame_takes_time_and_reaches_nobody() -> None:
-    drive = Epos2(1)
+    drive = prompt_drive(1)
     host = Host(drive)
     host.bus.drop = lambda can_id, data, source: can_id == 0x601 and source == 0
     host.send(0x601, "40 00 10 00 00 00 00 00", ms=2)
@@ -168,7 +167,7 @@ def test_late_host_sees_true_time_stamps() -> None:
 
 def test_drives_hear_each_other_and_not_themselves() -> None:
     """Node 2 watches node 1's heartbeat; node 1 watching itself would hear nothing."""
-    host = Host(Epos2(1), Epos2(2))
+    host = Host(prompt_drive(1), prompt_drive(2))
     for node in (1, 2):
         host.write(0x1016, 1, 1 << 16 | 50, 4, node)
     host.write(0x1017, 0, 20, 2)
@@ -181,7 +180,7 @@ def test_drives_hear_each_other_and_not_themselves() -> None:
 
 def test_silence_costs_nothing() -> None:
     """A day without a frame is one jump."""
-    drive = Epos2(1)
+    drive = prompt_drive(1)
     host = Host(drive)
     assert drive.next_event_us == math.inf
     host.run(86_400_000)
@@ -189,7 +188,7 @@ def test_silence_costs_nothing() -> None:
 
 
 def test_switched_off_in_mid_frame() -> None:
-    drive = Epos2(1)
+    drive = prompt_drive(1)
     bus = SimulatedBus()
     bus.add(drive)
     collect(bus, 20)  # the boot-up message is on the bus

@@ -7,7 +7,7 @@ Synchronisation". What a clock should show is computed here from true time, offs
 from __future__ import annotations
 
 import pytest
-from sim_host import Host
+from sim_host import Host, prompt_drive
 
 from epos2_ros.sim.epos2 import Epos2
 
@@ -28,7 +28,7 @@ def wrapped(difference: float) -> float:
 
 @pytest.mark.parametrize(("offset", "drift"), [(0, 0), (12_345_678, 100), (4e9, -250)])
 def test_sync_latches_the_clock(offset: float, drift: float) -> None:
-    host = Host(Epos2(1, offset_us=offset, drift_ppm=drift))
+    host = Host(prompt_drive(1, offset_us=offset, drift_ppm=drift))
     for _ in range(3):
         host.run(1000)
         t_us = host.sync()
@@ -36,7 +36,7 @@ def test_sync_latches_the_clock(offset: float, drift: float) -> None:
 
 
 def test_reading_gives_the_time_of_the_sync_not_of_now() -> None:
-    host = Host(Epos2(1))
+    host = Host(prompt_drive(1))
     t_us = host.sync()
     host.run(500)
     assert latched(host) == int(t_us)
@@ -45,7 +45,7 @@ def test_reading_gives_the_time_of_the_sync_not_of_now() -> None:
 @pytest.mark.parametrize(("bitrate", "resolution"), [(1_000_000, 1), (125_000, 8), (500_000, 2)])
 def test_resolution_is_the_bit_time(bitrate: int, resolution: int) -> None:
     """3.6.2: "depends on the selected CAN bitrate (bit time)"."""
-    host = Host(Epos2(1, offset_us=3.0, drift_ppm=77, bitrate=bitrate), bitrate=bitrate)
+    host = Host(prompt_drive(1, offset_us=3.0, drift_ppm=77, bitrate=bitrate), bitrate=bitrate)
     values = []
     for n in range(20):
         host.run(3.137 + n * 0.377)
@@ -57,7 +57,7 @@ def test_resolution_is_the_bit_time(bitrate: int, resolution: int) -> None:
 
 
 def test_time_stamp_corrects_by_the_difference() -> None:
-    host = Host(Epos2(1, offset_us=777_000, drift_ppm=0))
+    host = Host(prompt_drive(1, offset_us=777_000, drift_ppm=0))
     t_us = host.sync()
     sends_time_stamp(host, 1, int(t_us))
     host.run(100)
@@ -67,7 +67,7 @@ def test_time_stamp_corrects_by_the_difference() -> None:
 
 @pytest.mark.parametrize("error", [-3000, 5000, WRAP // 2 - 1, -(WRAP // 2)])
 def test_difference_is_taken_the_shorter_way_around(error: int) -> None:
-    host = Host(Epos2(1, offset_us=WRAP - 2000))
+    host = Host(prompt_drive(1, offset_us=WRAP - 2000))
     host.sync()
     sends_time_stamp(host, 1, latched(host) + error)
     host.run(10)
@@ -77,7 +77,7 @@ def test_difference_is_taken_the_shorter_way_around(error: int) -> None:
 
 def test_second_time_stamp_for_one_sync_corrects_again() -> None:
     """By the letter of 3.6.2: the difference to the latched time is used at every write."""
-    host = Host(Epos2(1))
+    host = Host(prompt_drive(1))
     host.sync()
     before = latched(host)
     sends_time_stamp(host, 1, before + 100)
@@ -87,7 +87,7 @@ def test_second_time_stamp_for_one_sync_corrects_again() -> None:
 
 
 def test_time_stamp_by_pdo() -> None:
-    host = Host(Epos2(1, offset_us=5000))
+    host = Host(prompt_drive(1, offset_us=5000))
     host.map(0x1402, 0x255, [0x1013_0020])
     host.nmt(0x01)
     t_us = host.sync()
@@ -98,7 +98,7 @@ def test_time_stamp_by_pdo() -> None:
 
 def test_time_resets_the_clock() -> None:
     """2.4: TIME (0x100) resets the motion clock to zero."""
-    host = Host(Epos2(1, offset_us=123_456, drift_ppm=50))
+    host = Host(prompt_drive(1, offset_us=123_456, drift_ppm=50))
     host.run(1000)
     host.send(0x100, "00 00 00 00 00 00")
     reset_us = [f.t_us for f in host.frames if f.can_id == 0x100][0]
@@ -109,7 +109,7 @@ def test_time_resets_the_clock() -> None:
 
 def test_drift_between_corrections() -> None:
     """100 ppm are 10 µs in 100 ms; a correction each time keeps the clock that close for ever."""
-    host = Host(Epos2(1, offset_us=1e9, drift_ppm=100))
+    host = Host(prompt_drive(1, offset_us=1e9, drift_ppm=100))
     errors = []
     for _ in range(50):
         host.run(98)
@@ -138,7 +138,9 @@ def cycle_times(drive: Epos2) -> dict[int, float]:
 
 def test_start_at_the_sync() -> None:
     """Nothing happens until the SYNC; its arrival is the zero of the path, in every drive."""
-    drives = [Epos2(n, offset_us=1e6 * n, drift_ppm=40 * n - 100, record=True) for n in (1, 2, 3)]
+    drives = [
+        prompt_drive(n, offset_us=1e6 * n, drift_ppm=40 * n - 100, record=True) for n in (1, 2, 3)
+    ]
     host = Host(*drives)
     for node in (1, 2, 3):
         host.prepare_ip(node)
@@ -160,7 +162,7 @@ def test_start_at_the_sync() -> None:
 
 
 def test_second_sync_does_not_start_again() -> None:
-    drive = Epos2(1, record=True)
+    drive = prompt_drive(1, record=True)
     host = Host(drive)
     host.prepare_ip()
     line(host, 1, 1)
@@ -175,7 +177,7 @@ def test_second_sync_does_not_start_again() -> None:
 
 def test_path_time_follows_corrections() -> None:
     """A clock 5 ms behind is put right in motion: the path jumps 5 ms ahead, cycle by cycle."""
-    drive = Epos2(1, record=True, lag_ms=0)
+    drive = prompt_drive(1, record=True, lag_ms=0)
     host = Host(drive)
     host.prepare_ip()
     line(host, 1, 2)
@@ -192,7 +194,7 @@ def test_path_time_follows_corrections() -> None:
 
 
 def test_path_waits_when_the_clock_is_put_back() -> None:
-    drive = Epos2(1, record=True, lag_ms=0)
+    drive = prompt_drive(1, record=True, lag_ms=0)
     host = Host(drive)
     host.prepare_ip()
     line(host, 1, 2)
@@ -208,7 +210,7 @@ def test_path_waits_when_the_clock_is_put_back() -> None:
 
 
 def test_corrections_at_rest_move_nothing() -> None:
-    drive = Epos2(1, record=True)
+    drive = prompt_drive(1, record=True)
     host = Host(drive)
     host.prepare_ip()
     host.sync()
@@ -222,7 +224,7 @@ def test_corrections_at_rest_move_nothing() -> None:
 
 def test_synchronised_drives_stay_together() -> None:
     """±100 ppm, corrected every 100 ms with the true time: within 10 µs and the resolution."""
-    drives = [Epos2(n, drift_ppm=200 * n - 300, record=True) for n in (1, 2)]
+    drives = [prompt_drive(n, drift_ppm=200 * n - 300, record=True) for n in (1, 2)]
     host = Host(*drives)
     for node in (1, 2):
         host.prepare_ip(node)
@@ -249,7 +251,7 @@ def test_synchronised_drives_stay_together() -> None:
 @pytest.mark.parametrize("drift", [-100, 100])
 def test_wrap_around_in_motion(drift: float) -> None:
     """The 32 bits run over after 71.6 minutes; the path doesn't notice."""
-    drive = Epos2(1, offset_us=WRAP - 1_500_000, drift_ppm=drift, record=True, lag_ms=0)
+    drive = prompt_drive(1, offset_us=WRAP - 1_500_000, drift_ppm=drift, record=True, lag_ms=0)
     host = Host(drive)
     host.prepare_ip()
     line(host, 1, 4)

@@ -6,9 +6,7 @@ import struct
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sim_host import Host, pvt
-
-from epos2_ros.sim.epos2 import Epos2
+from sim_host import Host, prompt_drive, pvt
 
 STATES = {0x40, 0x21, 0x23, 0x27, 0x07, 0x0F, 0x08}  # of the status word, mask 0x6F
 OBJECTS = [
@@ -60,7 +58,7 @@ frames = st.one_of(
     st.lists(st.tuples(frames, st.sampled_from([0.0, 0.2, 3.0, 40.0])), max_size=40),
 )
 def test_any_traffic(prepared: bool, traffic: list[tuple[Frame, float]]) -> None:
-    drive = Epos2(1, record=True)
+    drive = prompt_drive(1, record=True)
     host = Host(drive)
     if prepared:
         host.prepare_ip()

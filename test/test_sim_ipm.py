@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sim_host import Abort, Host, pvt
+from sim_host import Abort, Host, prompt_drive, pvt
 
 from epos2_ros.sim.epos2 import Epos2
 
@@ -26,7 +26,7 @@ QC_PER_MS = 2000 / 60_000  # of one rpm with 2000 counts per turn
 
 @pytest.fixture
 def drive() -> Epos2:
-    return Epos2(1, record=True, lag_ms=0)
+    return prompt_drive(1, record=True, lag_ms=0)
 
 
 @pytest.fixture
@@ -521,7 +521,7 @@ def test_limit_between_the_points_counts_too(host: Host, drive: Epos2) -> None:
 
 
 def test_following_error_limit(drive: Epos2) -> None:
-    host = Host(Epos2(1, lag_ms=20))  # 20 ms behind: 800 qc at 40 qc/ms
+    host = Host(prompt_drive(1, lag_ms=20))  # 20 ms behind: 800 qc at 40 qc/ms
     host.prepare_ip()
     host.write(0x6065, 0, 700, 4)
     host.feed(*[(4000 * n, 1200, 100) for n in range(1, 8)], (28000, 0, 0))
@@ -564,7 +564,7 @@ segments = st.tuples(st.integers(-200, 200), st.integers(-600, 600), st.integers
 @given(st.lists(segments, min_size=1, max_size=8), st.integers(-(10**9), 10**9))
 def test_executed_curve(points: list[tuple[int, int, int]], start: int) -> None:
     """Every control cycle lies on the cubics through the records, from where the axis stands."""
-    drive = Epos2(1, position_qc=start, record=True, lag_ms=0)
+    drive = prompt_drive(1, position_qc=start, record=True, lag_ms=0)
     host = Host(drive)
     host.write(0x6065, 0, 0xFFFFFFFF, 4)
     host.prepare_ip()

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import pytest
-from sim_host import Abort, Host
+from sim_host import Abort, Host, prompt_drive
 
 from epos2_ros.sim.epos2 import Epos2
 
 
 @pytest.fixture
 def drive() -> Epos2:
-    return Epos2(1)
+    return prompt_drive(1)
 
 
 @pytest.fixture

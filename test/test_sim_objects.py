@@ -7,9 +7,7 @@ The tables are typed from maxon, application note "Interpolation Position Mode" 
 from __future__ import annotations
 
 import pytest
-from sim_host import Abort, Host
-
-from epos2_ros.sim.epos2 import Epos2
+from sim_host import Abort, Host, prompt_drive
 
 READ_ONLY, WRITE_ONLY = 0x06010002, 0x06010001
 
@@ -90,7 +88,7 @@ ONLY = [
 
 @pytest.fixture
 def host() -> Host:
-    return Host(Epos2(1))
+    return Host(prompt_drive(1))
 
 
 def name(row: tuple[object, ...]) -> str:
@@ -160,7 +158,7 @@ def test_buffer_position_ignores_what_is_written(host: Host) -> None:
 
 
 def test_identity_is_what_was_ordered() -> None:
-    host = Host(Epos2(7, product_code=0x6321_0000, revision=0x2126_0000, serial=42))
+    host = Host(prompt_drive(7, product_code=0x6321_0000, revision=0x2126_0000, serial=42))
     assert host.read(0x1018, 1, node=7) == 0xFB
     assert host.read(0x1018, 2, node=7) == 0x6321_0000
     assert host.read(0x1018, 3, node=7) == 0x2126_0000
@@ -170,7 +168,7 @@ def test_identity_is_what_was_ordered() -> None:
 @pytest.mark.parametrize("node", [0, 128, -1])
 def test_node_ids(node: int) -> None:
     with pytest.raises(ValueError, match="1 … 127"):
-        Epos2(node)
+        prompt_drive(node)
 
 
 def test_supported_modes(host: Host) -> None:

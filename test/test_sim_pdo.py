@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from sim_host import Abort, Host, pvt
+from sim_host import Abort, Host, prompt_drive, pvt
 
 from epos2_ros.sim.epos2 import Epos2
 
@@ -13,7 +13,7 @@ NOT_MAPPABLE, TOO_LONG, STATE, RANGE = 0x06040041, 0x06040042, 0x08000022, 0x060
 
 @pytest.fixture
 def drive() -> Epos2:
-    return Epos2(1)
+    return prompt_drive(1)
 
 
 @pytest.fixture
@@ -203,7 +203,7 @@ def test_longer_rpdo_is_cut(host: Host) -> None:
 
 def test_two_drives_share_an_identifier() -> None:
     """As the time stamp 0x1013 does in the note's "Motion Synchronisation"."""
-    host = Host(Epos2(1), Epos2(2))
+    host = Host(prompt_drive(1), prompt_drive(2))
     for node in (1, 2):
         host.map(0x1402, 0x155 + 0x100, [0x607A_0020], node=node)
     host.nmt(0x01)

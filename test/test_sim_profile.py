@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from sim_host import Abort, Host
+from sim_host import Abort, Host, prompt_drive
 
 from epos2_ros.sim import profile
 from epos2_ros.sim.epos2 import Epos2
@@ -48,7 +48,7 @@ def test_trapezoid_takes_the_least_time() -> None:
 
 @pytest.fixture
 def drive() -> Epos2:
-    return Epos2(1)
+    return prompt_drive(1)
 
 
 @pytest.fixture
@@ -162,7 +162,7 @@ SWITCHES = Switches(negative_limit=-5000, positive_limit=9000, home=(2000, 2600)
 
 def homed(method: int, start: int = 0, offset: int = 0, home_position: int = 0) -> tuple[Host, int]:
     """A host after homing, and where on the machine the axis then stands."""
-    drive = Epos2(1, position_qc=start, switches=SWITCHES)
+    drive = prompt_drive(1, position_qc=start, switches=SWITCHES)
     host = Host(drive)
     host.write(0x6098, 0, method, 1)
     host.write(0x6099, 1, 600, 4)
@@ -231,7 +231,7 @@ def test_actual_position_is_home(method: int) -> None:
 
 def test_switch_that_is_not_there_is_a_homing_error() -> None:
     """Method 23 turns at the positive limit switch; at the negative one it gives up."""
-    drive = Epos2(1, position_qc=3000, switches=Switches(-500, 4000))
+    drive = prompt_drive(1, position_qc=3000, switches=Switches(-500, 4000))
     host = Host(drive)
     host.write(0x6098, 0, 23, 1)
     host.enable(6)
@@ -243,7 +243,7 @@ def test_switch_that_is_not_there_is_a_homing_error() -> None:
 
 
 def test_homing_is_interrupted_by_bit_4() -> None:
-    drive = Epos2(1, switches=SWITCHES)
+    drive = prompt_drive(1, switches=SWITCHES)
     host = Host(drive)
     host.write(0x6098, 0, 17, 1)
     host.enable(6)

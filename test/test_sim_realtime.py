@@ -98,7 +98,7 @@ def test_canopen_library_moves_two_drives(bus: can.BusABC, drives: list[Epos2]) 
             node.nmt.send_command(0x01)
             for command in (0x06, 0x0F):
                 node.sdo[0x6040].raw = command
-            assert node.sdo[0x6041].raw & 0x6F == 0x27
+            until(lambda node=node: node.sdo[0x6041].raw & 0x6F == 0x27)
             node.sdo[0x60C4][6].raw = 1
             for point in ((500, 300, 100), (1000, 0, 100), (1000, 0, 0)):
                 network.send_message(0x200 + node.id, pvt(*point))
@@ -388,6 +388,8 @@ def test_program_runs_a_motion_and_writes_its_log(tmp_path: Path, number: int) -
         ask("2F60600007", "60606000")  # mode 7
         ask("2B4060000600", "60406000")
         ask("2B4060000F00", "60406000")
+        while int(ask("40416000", "4B416000")[:2], 16) & 0x6F != 0x27:  # operation enabled
+            pass
         ask("2FC4600601", "60C46006")  # buffer enabled
         for point in ((200, 120, 50), (400, 0, 50), (400, 0, 0)):
             data = pvt(*point).hex().upper()

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from sim_host import Abort, Host
-
-from epos2_ros.sim.epos2 import Epos2
+from sim_host import Abort, Host, prompt_drive
 
 ABORT_TOGGLE = 0x05030000
 ABORT_COMMAND = 0x05040001
@@ -13,7 +11,7 @@ ABORT_COMMAND = 0x05040001
 
 @pytest.fixture
 def host() -> Host:
-    return Host(Epos2(1))
+    return Host(prompt_drive(1))
 
 
 def test_expedited_upload_of_each_size(host: Host) -> None:

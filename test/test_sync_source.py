@@ -23,7 +23,7 @@ from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.protocol.clock import MasterClock
 from epos2_ros.protocol.frame import Frame
 from epos2_ros.protocol.group import Phase
-from epos2_ros.sim.epos2 import Epos2
+from epos2_ros.sim.epos2 import Dictionary, Epos2
 
 SYNC, TPDO3, RPDO2, RPDO3 = 0x080, 0x380, 0x300, 0x400
 JOINTS = [axis.joint for axis in axes()]
@@ -61,7 +61,7 @@ def test_the_masters_tpdo_is_the_others_rpdo():
     for node in range(1, 7):
         told = downloads(one, node)
         if node == 3:
-            assert last(told, 0x1802, 1) == TPDO3 + 3
+            assert last(told, 0x1802, 1) & ~(1 << 30) == TPDO3 + 3  # bit 30: no remote requests
             assert last(told, 0x1802, 2) == 1
             assert last(told, 0x1A02, 0) == 1
             assert last(told, 0x1A02, 1) == 0x1013_0020
@@ -189,7 +189,7 @@ def test_a_start_at_a_given_time_is_on_the_nearest_sync(source):
         at_us = one.now_us + ahead_us
         one.path.submit(there_and_back(), at_us, one.now_us)
         one.wait(one.group.motion)
-        late_us = one.drives[0].ip_start_us - at_us
+        late_us = one.drives[0].ip_start_us + 1000.0 - at_us  # the first record takes 1 ms
         assert abs(late_us) <= 50_000 + 1_000
         assert one.group.start_error_us == pytest.approx(late_us, abs=200)
 
@@ -219,7 +219,7 @@ class LateHost(Bench):
         self._naps, self._nap_us = syncs, nap_us
         self._wakes_us = -math.inf
         self._unheard: list[tuple[int, bytes, bool]] = []
-        super().__init__(config, drives(len(config.axes), record=True))
+        super().__init__(config, drives(len(config.axes), record=True, dictionary=Dictionary.NOTE))
         self.late_us = lambda: max(0.0, self._wakes_us - self.now_us)
 
     def _on_frame(self, can_id: int, data: bytes, t_us: float, echo: bool) -> bool:
@@ -231,13 +231,16 @@ class LateHost(Bench):
         self._unheard.append((can_id, data, echo))
         return False
 
+    def _hear(self) -> None:
+        if self.now_us >= self._wakes_us:
+            unheard, self._unheard = self._unheard, []
+            for can_id, data, echo in unheard:
+                super()._on_frame(can_id, data, self.now_us, echo)
+
     def _step(self) -> None:
-        if self.now_us < self._wakes_us:
-            return
-        unheard, self._unheard = self._unheard, []
-        for can_id, data, echo in unheard:
-            super()._on_frame(can_id, data, self.now_us, echo)
-        super()._step()
+        self._hear()
+        if self.now_us >= self._wakes_us:
+            super()._step()
 
 
 @pytest.mark.parametrize(("source", "producer"), ALL)
@@ -314,6 +317,19 @@ def test_a_lost_clock_master_stops_all():
         one.wait(one.group.motion)
     one.run(2.0)
     assert one.group.phase is Phase.FAULT
+
+
+def test_a_drive_without_0x1006_is_refused_as_sync_producer():
+    """The maker's dictionary: it is asked first, and nothing of it is written."""
+    config = DriverConfig(axes=axes(2), sync_producer="joint_2")
+    one = Bench(config, [Epos2(1), Epos2(2)], bring_up=False)
+    with pytest.raises(DriveError) as refusal:
+        one.bring_up()
+    assert str(refusal.value) == (
+        "joint_2 (node 2) can't send SYNC: it has no communication cycle period (0x1006), as no "
+        "EPOS2 of known firmware has; set sync.producer to host"
+    )
+    assert not any(index in (0x1005, 0x1006) for index, _, _ in downloads(one, 2))
 
 
 def test_a_period_too_short_to_arm_is_refused():

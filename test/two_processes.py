@@ -134,7 +134,7 @@ def rig(interface: str, channel: str, **settings: object) -> Iterator[Rig]:
 def commanded_qc(t_ms: np.ndarray) -> np.ndarray:
     """The example's curve, one cubic for each pair of points [len(t_ms), 2]."""
     assert SCAN.velocities is not None
-    t_s = np.clip(t_ms / 1000, 0, SCAN.times_s[-1])
+    t_s = np.clip((t_ms - 1) / 1000, 0, SCAN.times_s[-1])  # the first record holds for 1 ms
     piece = np.clip(np.searchsorted(SCAN.times_s, t_s, side="right") - 1, 0, len(SCAN.times_s) - 2)
     result = np.empty((len(t_ms), 2))
     for n in range(len(SCAN.times_s) - 1):

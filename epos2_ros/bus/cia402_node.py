@@ -10,10 +10,12 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import resources
+from typing import NamedTuple
 
 import canopen
 
 from epos2_ros.bus.link import Network
+from epos2_ros.bus.sdo_access import NoAnswer, SdoAccess
 from epos2_ros.bus.sdo_client import RemoteNode
 from epos2_ros.errors import DriveError
 from epos2_ros.protocol import cia402, epos2
@@ -21,10 +23,26 @@ from epos2_ros.protocol.cia402 import State
 from epos2_ros.protocol.epos2 import PdoMapping
 from epos2_ros.protocol.timekeeper import HOST_NODE_ID
 
+FIRST_ATTEMPTS = 8  # of 0.3 s each, to get an answer from a drive that may be starting up
+BRING_UP_LIMIT_S = 20.0  # of one drive, from its first answer on
+FAULT_RESET_TIMEOUT_S = 1.0  # real drives take 25 ms
+PDO_INVALID, PDO_NO_REMOTE = 1 << 31, 1 << 30  # in a PDO's COB-ID (CiA 301, 7.5.2.35)
 DRIVE_HEARTBEAT_MS = 200
 HOST_HEARTBEAT_TIMEOUT_MS = 500  # the drive stops by itself when the host is silent so long
 STATE_TIMEOUT_S = 5.0
 ERROR_FIELD = 0x1003
+
+
+class Direction(NamedTuple):
+    """Where the records of a kind of PDO begin in the object dictionary."""
+
+    name: str
+    record: int
+    mapping: int
+
+
+RECEIVE = Direction("RPDO", 0x1400, 0x1600)
+TRANSMIT = Direction("TPDO", 0x1800, 0x1A00)
 
 
 @dataclass(frozen=True)
@@ -45,12 +63,13 @@ class Family:
 
 
 class Cia402Node:
-    """SDO access to one drive."""
+    """SDO access to one drive, in `objects`. All of it raises DriveError."""
 
     def __init__(self, network: Network, family: Family, joint: str, node_id: int) -> None:
         self.joint = joint
         self._node_id = node_id
         self.node = RemoteNode(node_id, family.object_dictionary())
+        self.objects = SdoAccess(self.node, joint, str(self))
         self._family = family
         network[node_id] = self.node
 
@@ -64,48 +83,34 @@ class Cia402Node:
 
         `inhibit_us`: by COB-ID, of the transmit PDOs that have an inhibit time.
         """
-        try:
-            self.node.nmt.send_command(0x80)  # pre-operational: PDOs are mapped there
-            self._check_identity()
-            self._leave_operation()
-            write_objects()
-            self.write(epos2.PRODUCER_HEARTBEAT_TIME, DRIVE_HEARTBEAT_MS)
-            watched = HOST_NODE_ID << 16 | HOST_HEARTBEAT_TIMEOUT_MS
-            self.write(epos2.CONSUMER_HEARTBEAT_TIME, watched, 1)
-            for mapping in self._family.rpdos:
-                self._map(self.node.rpdo[mapping.number], mapping)
-            for mapping in self._family.tpdos:
-                inhibit = (inhibit_us or {}).get(mapping.cob_id)
-                self._map(self.node.tpdo[mapping.number], mapping, inhibit)
-            self.node.nmt.send_command(0x01)  # operational
-            return self.read(epos2.STATUSWORD)
-        except canopen.SdoAbortedError as error:
-            raise DriveError(f"{self}: SDO aborted by the drive: {error}") from error
-        except canopen.SdoCommunicationError as error:
-            raise DriveError(f"{self} stopped answering SDO requests: {error}") from error
+        objects, family = self.objects, self._family
+        objects.limit(BRING_UP_LIMIT_S)
+        self._check_identity()
+        self._leave_operation()
+        write_objects()
+        objects.write(epos2.PRODUCER_HEARTBEAT_TIME, DRIVE_HEARTBEAT_MS)
+        for mapping in family.rpdos:
+            self._map(RECEIVE, mapping)
+        for mapping in family.tpdos:
+            self._map(TRANSMIT, mapping, (inhibit_us or {}).get(mapping.cob_id))
+        self.node.nmt.send_command(0x01)  # operational
+        return objects.read(epos2.STATUSWORD)
 
-    def read(self, index: int, subindex: int = 0) -> int:
-        """The value of an object of the EDS."""
-        return int(self._variable(index, subindex).raw)
-
-    def write(self, index: int, value: int, subindex: int = 0) -> None:
-        """Set an object of the EDS."""
-        self._variable(index, subindex).raw = value
-
-    def _variable(self, index: int, subindex: int) -> canopen.sdo.SdoVariable:
-        entry = self.node.sdo[index]
-        return entry if isinstance(entry, canopen.sdo.SdoVariable) else entry[subindex]
+    def watch_host(self) -> None:
+        """The drive stops by itself when the host's heartbeat fails to appear."""
+        watched = HOST_NODE_ID << 16 | HOST_HEARTBEAT_TIMEOUT_MS
+        self.objects.write(
+            epos2.CONSUMER_HEARTBEAT_TIME,
+            watched,
+            1,
+            f"let it watch the host's heartbeat (node {HOST_NODE_ID}, {HOST_HEARTBEAT_TIMEOUT_MS} "
+            f"ms), {self.objects.name(epos2.CONSUMER_HEARTBEAT_TIME, 1)}",
+        )
 
     def _check_identity(self) -> None:
         family = self._family
-        try:
-            device_type = self.read(epos2.DEVICE_TYPE)
-        except canopen.SdoCommunicationError as error:
-            raise DriveError(
-                f"no answer from {self}: check power, wiring, termination, the node id "
-                "set on the drive and can.bitrate"
-            ) from error
-        vendor = self.read(epos2.IDENTITY, 1)
+        device_type = self._first_answer()
+        vendor = self.objects.read(epos2.IDENTITY, 1)
         if not epos2.is_drive_profile(device_type) or vendor != family.vendor_id:
             raise DriveError(
                 f"{self} is not {family.name}: device type 0x{device_type:08X}, vendor "
@@ -113,33 +118,82 @@ class Cia402Node:
                 f"0x{family.vendor_id:08X}; check axes.{self.joint}.node_id and .drive"
             )
 
+    def _first_answer(self) -> int:
+        """The device type, from a drive that may still be starting up.
+
+        One that has been reset takes a quarter of a second to its boot-up message, and one that
+        detects the bus's bit rate is not there at all before it has heard some frames.
+        """
+        for attempt in range(1, FIRST_ATTEMPTS + 1):
+            self.node.nmt.send_command(0x80)  # pre-operational: PDOs are mapped there
+            try:
+                return self.objects.read(epos2.DEVICE_TYPE)
+            except NoAnswer as error:
+                if attempt == FIRST_ATTEMPTS:
+                    raise DriveError(
+                        f"no answer from {self}: check power, wiring, termination, the node id "
+                        "set on the drive and can.bitrate"
+                    ) from error
+        raise AssertionError
+
     def _leave_operation(self) -> None:
         """Power off, faults reset: from whatever state an earlier host has left."""
-        deadline = time.monotonic() + STATE_TIMEOUT_S
-        told: State | None = None
+        since, told = time.monotonic(), None
         while True:
-            state = cia402.state_of(self.read(epos2.STATUSWORD))
-            controlword = cia402.step(state, State.SWITCH_ON_DISABLED)
+            state = cia402.state_of(self.objects.read(epos2.STATUSWORD))
             if state is State.SWITCH_ON_DISABLED:
                 return
-            if time.monotonic() > deadline or (state is State.FAULT and told is State.FAULT):
-                code = self.read(ERROR_FIELD, 1) & 0xFFFF
-                raise DriveError(f"{self} stays in {state.value}: {epos2.describe_emergency(code)}")
-            if controlword is not None and state is not told:
+            limit_s = FAULT_RESET_TIMEOUT_S if state is State.FAULT else STATE_TIMEOUT_S
+            if state is told and time.monotonic() > since + limit_s:
+                raise DriveError(f"{self} stays in {state.value}{self._last_error()}")
+            controlword = cia402.step(state, State.SWITCH_ON_DISABLED)
+            if state is not told:
+                since, told = time.monotonic(), state
                 if controlword == cia402.FAULT_RESET:
-                    self.write(epos2.CONTROLWORD, cia402.DISABLE_VOLTAGE)  # bit 7 has to rise
-                self.write(epos2.CONTROLWORD, controlword)
-                told = state
+                    self._command(cia402.DISABLE_VOLTAGE, "disable voltage")  # bit 7 has to rise
+                    self._command(controlword, "reset its fault")
+                elif controlword is not None:
+                    self._command(controlword, "disable voltage")
+
+    def _command(self, controlword: int, what: str) -> None:
+        name = self.objects.name(epos2.CONTROLWORD)
+        self.objects.write(epos2.CONTROLWORD, controlword, attempt=f"{what}, by {name}")
+
+    def _last_error(self) -> str:
+        """The newest entry of the error history in words."""
+        if not self.objects.read(ERROR_FIELD):
+            return ", with no error in its history (0x1003)"
+        code = self.objects.read(ERROR_FIELD, 1) & 0xFFFF
+        return f": {epos2.describe_emergency(code)}"
 
     def _map(
-        self, pdo: canopen.pdo.PdoMap, mapping: PdoMapping, inhibit_us: int | None = None
+        self, direction: Direction, mapping: PdoMapping, inhibit_us: int | None = None
     ) -> None:
-        pdo.clear()
-        pdo.cob_id = mapping.cob_id + (mapping.of_node or self._node_id)
-        pdo.trans_type = mapping.transmission_type
-        pdo.event_timer = None
-        pdo.inhibit_time = None if inhibit_us is None else inhibit_us // 100
-        pdo.enabled = True
-        for index, subindex in mapping.objects:
-            pdo.add_variable(index, subindex)
-        pdo.save()
+        """In the order of CiA 301, 7.5.2.36: off, type, mapping, on."""
+        objects, number = self.objects, mapping.number
+        pdo = f"{direction.name}{number}"
+        record, contents = direction.record + number - 1, direction.mapping + number - 1
+        cob_id = mapping.cob_id + (mapping.of_node or self._node_id)
+
+        def write(index: int, subindex: int, value: int, what: str) -> None:
+            attempt = f"{what} (0x{index:04X}-{subindex:02X})"
+            objects.write(index, value, subindex, attempt)
+
+        before = objects.read(record, 1)
+        write(record, 1, before | PDO_INVALID, f"switch {pdo} off")
+        kind = mapping.transmission_type
+        write(record, 2, kind, f"set the transmission type of {pdo} to {kind}")
+        if inhibit_us is not None:
+            text = f"set the inhibit time of {pdo} to {inhibit_us / 1000:g} ms"
+            write(record, 3, inhibit_us // 100, text)
+        write(contents, 0, 0, f"clear the mapping of {pdo}")
+        for place, (index, subindex) in enumerate(mapping.objects, 1):
+            bits = objects.size(index, subindex)
+            mapped = index << 16 | subindex << 8 | bits
+            name = objects.name(index, subindex)
+            write(contents, place, mapped, f"map {name} as object {place} of {pdo}")
+        names = ", ".join(objects.name(*key) for key in mapping.objects)
+        count = len(mapping.objects)
+        write(contents, 0, count, f"close the mapping of {pdo} with {count} objects ({names})")
+        on = cob_id | before & PDO_NO_REMOTE
+        write(record, 1, on, f"switch {pdo} on with COB-ID 0x{cob_id:03X}")

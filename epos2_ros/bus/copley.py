@@ -67,7 +67,8 @@ class CopleyNode:
         return self._access.configure(self._write_objects)
 
     def _write_objects(self) -> None:
-        s, write = self.settings, self._access.write
+        s, write = self.settings, self._access.objects.write
+        self._access.watch_host()
         write(epos2.MODES_OF_OPERATION, copley.MODE_PROFILE_POSITION)
         write(epos2.SOFTWARE_POSITION_LIMIT, s.min_position_qc, 1)
         write(epos2.SOFTWARE_POSITION_LIMIT, s.max_position_qc, 2)

@@ -442,8 +442,8 @@ class Driver:
             velocity=units.from_velocity_units(float(axis.velocity)) if known else nan,
             effort=nan if axis.current_ma is None else axis.current_ma / 1000,
             stamp_us=axis.measured_us(1e6 / self._config.state_rate),
-            used=axis.used,
-            free=axis.free,
+            used=axis.account.level(path_ms),
+            free=BUFFER_SIZE - axis.account.level(path_ms),
             size=BUFFER_SIZE,
             buffered_ms=max(0.0, axis.account.ahead_ms(path_ms)),
             status_word=axis.buffer_status,
@@ -584,6 +584,8 @@ class Driver:
             self._link.send(self._group.outbox.popleft())
         while self._group.clearing:
             self._worker.post(partial(self._clear_buffer, self._group.clearing.popleft()))
+        while self._group.reads.outbox:
+            self._worker.post(partial(self._ask_buffer, self._group.reads.outbox.popleft()))
         while self._copley.protocol.outbox and self._link is not None:
             self._link.send(self._copley.protocol.outbox.popleft())
         while self._rejects.notices:
@@ -657,6 +659,14 @@ class Driver:
         except DriveError as refusal:
             error = str(refusal)
         self._reactor.post(lambda: self._group.buffer_cleared(index, error))
+
+    def _ask_buffer(self, index: int) -> None:
+        """The group sees the answer on the bus."""
+        try:
+            self._nodes[index].free_records()
+        except DriveError as refusal:
+            error = str(refusal)
+            self._reactor.post(lambda: self._group.buffer_not_read(index, error))
 
 
 def _start_us(trajectory: Trajectory) -> float | None:

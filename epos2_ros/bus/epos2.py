@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import canopen
-
 from epos2_ros.bus.cia402_node import Cia402Node, Family
 from epos2_ros.bus.link import Network
 from epos2_ros.errors import DriveError
 from epos2_ros.protocol import epos2
 
 BUFFER_STATUS_INHIBIT_US = 5_000  # the note's example: 5.0 ms
+_LIMITS = ("min_position", "max_position")
 EPOS2 = Family(
     "an EPOS2", "maxon", epos2.VENDOR_ID, "epos2.eds", epos2.RPDO_MAPPINGS, epos2.TPDO_MAPPINGS
 )
@@ -33,6 +32,7 @@ class Epos2Settings:
     warning_acceleration_rpm_s: int | None = None  # 0x6083
     stop_deceleration_rpm_s: int | None = None  # 0x6084, 0x6085
     state_inhibit_us: int = 20_000
+    produces_sync: bool = False
     clock_master: int | None = None  # node id of the drive that is; None: the host
 
 
@@ -47,11 +47,12 @@ def family_of(settings: Epos2Settings) -> Family:
 
 
 class Epos2Node:
-    """SDO access to one drive: bring-up, and the buffer clear that no PDO can do."""
+    """SDO access to one drive: bring-up, and what of the buffer no PDO can do."""
 
     def __init__(self, network: Network, settings: Epos2Settings) -> None:
         self.settings = settings
         self._access = Cia402Node(network, family_of(settings), settings.joint, settings.node_id)
+        self._objects = self._access.objects
         self.node = self._access.node
 
     def configure(self) -> int:
@@ -65,43 +66,75 @@ class Epos2Node:
     def clear_buffer(self) -> None:
         """Empty the interpolation buffer and enable access to it (0x60C4-06: 0, then 1)."""
         index, subindex = epos2.INTERPOLATION_DATA_CONFIGURATION, epos2.BUFFER_CLEAR_SUBINDEX
-        try:
-            for value in (0, 1):
-                self._access.write(index, value, subindex)
-        except (canopen.SdoAbortedError, canopen.SdoCommunicationError) as error:
-            raise DriveError(f"{self._access}: can't clear its buffer: {error}") from error
+        name = self._objects.name(index, subindex)
+        self._objects.write(index, 0, subindex, f"clear its buffer, {name}")
+        self._objects.write(index, 1, subindex, f"enable access to its buffer, {name}")
+
+    def free_records(self) -> int:
+        """How many records the buffer still takes (0x60C4-02)."""
+        index, subindex = epos2.INTERPOLATION_DATA_CONFIGURATION, epos2.ACTUAL_BUFFER_SUBINDEX
+        return self._objects.read(index, subindex)
 
     def produce_sync(self, period_us: int) -> None:
         """The drive sends SYNC from now on; 0: no longer."""
         generates = epos2.GENERATES_SYNC if period_us else 0
-        try:
-            self._access.write(epos2.COMMUNICATION_CYCLE_PERIOD, period_us)
-            self._access.write(epos2.COB_ID_SYNC, generates | epos2.SYNC)
-        except (canopen.SdoAbortedError, canopen.SdoCommunicationError) as error:
-            raise DriveError(f"{self._access} can't be the SYNC producer: {error}") from error
+        self._objects.write(epos2.COMMUNICATION_CYCLE_PERIOD, period_us)
+        self._objects.write(epos2.COB_ID_SYNC, generates | epos2.SYNC)
 
     def _write_objects(self) -> None:
-        s, write = self.settings, self._access.write
+        self._check_firmware()
+        s, write = self.settings, self._objects.write
+        if s.produces_sync:
+            self._check_sync_producer()
         write(epos2.COB_ID_SYNC, epos2.SYNC)  # an earlier host may have made it the producer
+        self._access.watch_host()
+        self._stop_without_host()
         write(epos2.MODES_OF_OPERATION, epos2.MODE_INTERPOLATED_POSITION)
-        write(epos2.VELOCITY_NOTATION_INDEX, s.velocity_notation)
-        write(epos2.INTERPOLATION_SUB_MODE, -1)  # cubic spline (PVT)
-        write(epos2.MAX_FOLLOWING_ERROR, s.max_following_error_qc)
-        write(epos2.SOFTWARE_POSITION_LIMIT, s.min_position_qc, 1)
-        write(epos2.SOFTWARE_POSITION_LIMIT, s.max_position_qc, 2)
-        for index, value in (
-            (epos2.MAX_PROFILE_VELOCITY, s.max_velocity),
-            (epos2.PROFILE_VELOCITY, s.warning_velocity),
-            (epos2.MAX_ACCELERATION, s.max_acceleration_rpm_s),
-            (epos2.PROFILE_ACCELERATION, s.warning_acceleration_rpm_s),
-            (epos2.PROFILE_DECELERATION, s.stop_deceleration_rpm_s),
-            (epos2.QUICK_STOP_DECELERATION, s.stop_deceleration_rpm_s),
+        for index, subindex, value, parameters in (
+            (epos2.VELOCITY_NOTATION_INDEX, 0, s.velocity_notation, ("velocity_notation",)),
+            (epos2.INTERPOLATION_SUB_MODE, 0, -1, ()),  # cubic spline (PVT)
+            (epos2.MAX_FOLLOWING_ERROR, 0, s.max_following_error_qc, ("max_following_error",)),
+            (epos2.SOFTWARE_POSITION_LIMIT, 1, s.min_position_qc, _LIMITS),
+            (epos2.SOFTWARE_POSITION_LIMIT, 2, s.max_position_qc, _LIMITS),
+            (epos2.MAX_PROFILE_VELOCITY, 0, s.max_velocity, ("max_velocity",)),
+            (epos2.PROFILE_VELOCITY, 0, s.warning_velocity, ("max_velocity",)),
+            (epos2.MAX_ACCELERATION, 0, s.max_acceleration_rpm_s, ("max_acceleration",)),
+            (epos2.PROFILE_ACCELERATION, 0, s.warning_acceleration_rpm_s, ("max_acceleration",)),
+            (epos2.PROFILE_DECELERATION, 0, s.stop_deceleration_rpm_s, ("stop_deceleration",)),
+            (epos2.QUICK_STOP_DECELERATION, 0, s.stop_deceleration_rpm_s, ("stop_deceleration",)),
         ):
             if value is not None:
-                write(index, value)
-        mode = self._access.read(epos2.MODES_OF_OPERATION_DISPLAY)
+                names = " and ".join(f"axes.{s.joint}.{name}" for name in parameters)
+                write(index, value, subindex, check=f"check {names}" if names else "")
+        mode = self._objects.read(epos2.MODES_OF_OPERATION_DISPLAY)
         if mode != epos2.MODE_INTERPOLATED_POSITION:
             raise DriveError(
                 f"{self._access} stays in mode {mode}, not interpolated position mode (7): its "
                 "firmware must be 2101h or higher"
             )
+
+    def _check_firmware(self) -> None:
+        """0x1018-03 is the software version times 10000h, 0x2003-01 the version itself."""
+        software = self._objects.read(epos2.IDENTITY, epos2.REVISION_SUBINDEX) >> 16
+        software = software or self._objects.find(epos2.VERSION, 1) or 0
+        if 0 < software < epos2.FIRST_SOFTWARE:
+            raise DriveError(
+                f"{self._access} has firmware {software:04X}h, which has no interpolated position "
+                f"mode: it takes {epos2.FIRST_SOFTWARE:04X}h or higher; update it with EPOS Studio"
+            )
+
+    def _check_sync_producer(self) -> None:
+        if self._objects.find(epos2.COMMUNICATION_CYCLE_PERIOD) is None:
+            raise DriveError(
+                f"{self._access} can't send SYNC: it has no communication cycle period (0x1006), "
+                "as no EPOS2 of known firmware has; set sync.producer to host"
+            )
+
+    def _stop_without_host(self) -> None:
+        """What the drive does when the host falls silent: 3 is quick stop, its own preset.
+
+        A 0 that somebody has stored would mean that it goes on. A drive without the object can't
+        have stored one.
+        """
+        if self._objects.find(epos2.ABORT_CONNECTION_OPTION) not in (None, epos2.QUICK_STOP_OPTION):
+            self._objects.write(epos2.ABORT_CONNECTION_OPTION, epos2.QUICK_STOP_OPTION)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from epos2_ros.bus.link import open_bus
 from epos2_ros.config import AxisConfig, DriverConfig
+from epos2_ros.sim.epos2 import Dictionary
 from epos2_ros.sim.realtime import (
     RealtimeSimulator,
     build_copley_drives,
@@ -25,6 +26,7 @@ class Simulation:
             drift_ppm=config.simulation.drift_ppm,
             seed=config.simulation.seed,
             bitrate=config.bitrate,
+            dictionary=Dictionary(config.simulation.dictionary),
             record=self._log is not None,
         )
         sampled = {output.joint for output in config.outputs if output.extrapolated}

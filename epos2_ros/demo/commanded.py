@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from epos2_ros.motion.trajectory import Trajectory
 
 Array = NDArray[np.float64]
+HOLD_S = 0.001  # a trajectory's zero after the start SYNC: the first record only holds the position
 
 
 @dataclass(frozen=True)
@@ -61,10 +62,11 @@ def scales(parameters: Mapping[str, Any]) -> list[Scale]:
 class Commanded:
     """The curve through a trajectory's points; the axes rest where it begins and ends.
 
-    If its first point has a time_from_start, they rest at time 0 and leave then.
+    If its first point has a time_from_start, they rest at its zero and leave then. `zero_s` is
+    when that is, on the time axis of `at`.
     """
 
-    def __init__(self, trajectory: Trajectory) -> None:
+    def __init__(self, trajectory: Trajectory, zero_s: float = 0.0) -> None:
         times, positions = trajectory.times_s, trajectory.positions
         velocities, accelerations = trajectory.velocities, trajectory.accelerations
         if times[0] > 0:
@@ -74,7 +76,7 @@ class Commanded:
             accelerations = None if accelerations is None else np.vstack((rest, accelerations))
         if velocities is None:
             velocities = _shape_preserving(times, positions)
-        self._times = times
+        self._times = times + zero_s
         h = np.diff(times)[:, None]
         p0, p1, v0, v1 = positions[:-1], positions[1:], velocities[:-1], velocities[1:]
         if accelerations is None:

@@ -18,7 +18,7 @@ from typing import Any
 import yaml
 
 from epos2_ros.demo.child import Child
-from epos2_ros.demo.commanded import Commanded, scales
+from epos2_ros.demo.commanded import HOLD_S, Commanded, scales
 from epos2_ros.demo.outputs import OutputResult, outputs_of
 from epos2_ros.demo.report import Observed, Report
 from epos2_ros.demo.terminal import Terminal, bar
@@ -98,7 +98,7 @@ def run(arguments: argparse.Namespace, terminal: Terminal) -> int:
         terminal.line(f"drives as in {params.name}, ROS_DOMAIN_ID={machine.domain_id}")
         outputs = outputs_of(machine.parameters, trajectory.joint_names)
         observed = machine.run(trajectory, outputs, arguments.two_processes, terminal)
-        commanded = Commanded(trajectory)
+        commanded = Commanded(trajectory, HOLD_S)
         report = Report.of(
             commanded,
             trajectory.joint_names,

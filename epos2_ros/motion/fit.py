@@ -102,9 +102,9 @@ class Fitter:
         for aims in self._aims:
             aims[5] = longest
 
-    def begin(self, reference: Reference, positions_qc: Sequence[int]) -> None:
-        """A new motion; every axis rests at `positions_qc` at path time 0."""
-        self._plans = [knots.plan_from_rest(position) for position in positions_qc]
+    def begin(self, reference: Reference, positions_qc: Sequence[int], at_ms: int = 0) -> None:
+        """A new motion; every axis still rests at `positions_qc` at path time `at_ms`."""
+        self._plans = [knots.plan_from_rest(position, at_ms) for position in positions_qc]
         self._ended = [False for _ in positions_qc]
         self.replace(reference)
 

@@ -631,10 +631,10 @@ def bends_of(positions: Vector) -> Vector:
     return bends
 
 
-def plan_from_rest(position: float) -> Vector:
-    """A plan of a motion from rest at `position` [qc] at path time 0."""
+def plan_from_rest(position: float, at_ms: int = 0) -> Vector:
+    """A plan of a motion from rest at `position` [qc] at path time `at_ms`."""
     plan = vector([0.0] * PLAN)
-    plan[1] = float(position)
+    plan[0], plan[1] = float(at_ms), float(position)
     forget(plan)
     return plan
 

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epos2_ros.bus.cia402_node import DRIVE_HEARTBEAT_MS
-from epos2_ros.bus.epos2 import BUFFER_STATUS_INHIBIT_US
 from epos2_ros.bus.settings import axis_setup, drive_settings, group_settings
 from epos2_ros.bus.transmitter import worst_case_bits
 from epos2_ros.config import AxisConfig, DriverConfig
@@ -195,34 +194,32 @@ def _axis_plan(
 def _bus_load(
     config: DriverConfig, axes: Sequence[AxisPlan], sent_ms: Array, end_ms: int
 ) -> BusLoad:
-    """A drive reports its buffer when a record comes in and when one is taken out (TPDO1), its
-    position at the state rate (TPDO2), and answers each SYNC twice (TPDO3, TPDO4)."""
+    """A drive reports its position at the state rate (TPDO2), answers each SYNC twice (TPDO3,
+    TPDO4), and is asked twice in the buffer time what its buffer holds (SDO, there and back)."""
     count, end_s = len(axes), max(end_ms, 1) / 1000
     window_s = min(end_s, 1.0)
-    taken_ms = np.concatenate([axis.knots_ms for axis in axes])
     bits_per_s = (
-        count * config.state_rate * PDO_BITS
+        count * (config.state_rate + 2 * 2 / config.buffer_time) * PDO_BITS
         + (SYNC_BITS + count * (STAMP_BITS + 2 * PDO_BITS)) / config.sync_period
         + HEARTBEAT_BITS * (1e6 / HEARTBEAT_PERIOD_US + count * 1e3 / DRIVE_HEARTBEAT_MS)
     )
-    at_ms = np.concatenate((sent_ms, sent_ms, taken_ms))
-    at_ms.sort()
+    at_ms = np.sort(sent_ms)
     until = np.searchsorted(at_ms, at_ms + 1000 * window_s, side="right")
     most = int(np.max(until - np.arange(len(at_ms))))  # of them within the window
     return BusLoad(
         records=len(sent_ms) * PDO_BITS / end_s / config.bitrate,
-        others=((len(at_ms) - len(sent_ms)) * PDO_BITS / end_s + bits_per_s) / config.bitrate,
+        others=bits_per_s / config.bitrate,
         busiest=(most * PDO_BITS / window_s + bits_per_s) / config.bitrate,
     )
 
 
 def _latency(config: DriverConfig, ready_us: Sequence[float]) -> Latency:
-    """Each record is sent when it is fitted and the one before is through; the drives report them
-    at the latest after their inhibit time; then controlwords and SYNC."""
+    """Each record is sent when it is fitted and the one before is through; the drives are asked
+    whether they have them, one after the other; then controlwords and SYNC."""
     count, us_per_bit = len(config.axes), 1e6 / config.bitrate
     through_us = 0.0
     for fitted_us in ready_us:
         through_us = max(through_us, fitted_us) + PDO_BITS * us_per_bit
-    start_bits = count * (PDO_BITS + CONTROLWORD_BITS) + SYNC_BITS
-    total_us = through_us + BUFFER_STATUS_INHIBIT_US + start_bits * us_per_bit
+    start_bits = count * (3 * PDO_BITS + CONTROLWORD_BITS) + SYNC_BITS
+    total_us = through_us + start_bits * us_per_bit
     return Latency(len(ready_us), ready_us[-1] / 1000, total_us / 1000)

@@ -43,7 +43,6 @@ class Axis:
         self.active_us = -math.inf  # when it last reported ip mode active
         self._event_us = -math.inf  # of the last TPDO1
         self.buffer_status = 0
-        self.free = epos2.BUFFER_SIZE
         self.position_qc: int | None = None
         self.velocity = 0
         self.sample_us = -math.inf
@@ -53,6 +52,7 @@ class Axis:
         self.following_error_qc = 0
         self.emergency = 0
         self.heard_us = -math.inf
+        self.asked_us = -math.inf  # when the last SDO request to it was on the bus
         self.restarted = False
         self.account = BufferAccount()
         self.audit = audit
@@ -78,13 +78,13 @@ class Axis:
         return cia402.state_of(self.statusword)
 
     @property
-    def ip_active(self) -> bool:
-        return bool(self.statusword & epos2.IP_MODE_ACTIVE_STATUSWORD)
+    def powering_up(self) -> bool:
+        """Whether it is on its own way to "operation enabled": refresh cycle, measure init."""
+        return self.state is State.SWITCHED_ON and bool(self.statusword & epos2.REFRESH_CYCLE)
 
     @property
-    def used(self) -> int:
-        """Records in the drive's FIFO as it last reported."""
-        return epos2.BUFFER_SIZE - self.free
+    def ip_active(self) -> bool:
+        return bool(self.statusword & epos2.IP_MODE_ACTIVE_STATUSWORD)
 
     def measured_us(self, inhibit_us: float) -> float:
         """The newest time at which it was at `position_qc`; -inf: it has not said yet.
@@ -105,7 +105,7 @@ class Axis:
             self.active_us = t_us
 
     def on_tpdo1(self, data: bytes, t_us: float) -> None:
-        statusword, self.buffer_status, self.free = epos2.TPDO1_LAYOUT.unpack(data)
+        statusword, self.buffer_status = epos2.TPDO1_LAYOUT.unpack(data)
         self.report(statusword, t_us)
         self._event_us = t_us
 

@@ -1,9 +1,10 @@
 """Every record of one drive accounted for: sent, taken out by time, reported free.
 
 Records are unconfirmed (asynchronous PDOs), so the host keeps its own books of the drive's FIFO
-and compares them with what the drive reports (0x60C4-02). A record leaves the FIFO when its
-segment begins. The note does not say whether the segment in execution still counts (3.6.3); the
-books keep two records besides it and accept both readings in a report.
+and compares them with what the drive says when it is asked (0x60C4-02). A record leaves the FIFO
+when its segment begins. The note does not say whether the segment in execution still counts
+(3.6.3), and no text whether the first record is a segment or only the point where the path starts:
+the books keep two records besides the segment in execution and accept all of it in a report.
 """
 
 from __future__ import annotations
@@ -15,8 +16,8 @@ from epos2_ros.motion.record import Record
 from epos2_ros.protocol.epos2 import BUFFER_SIZE
 
 REPORT_LATENCY_US = 50_000.0
-"""A report may describe the buffer as it was this long before it arrived: inhibit time of the
-TPDO, arbitration, and the host's own scheduling."""
+"""So long before a drive is asked a record has to be on the bus to be surely in its report: an echo
+may only say that the adapter has the frame, whose queue is still before it."""
 
 
 class BufferAccount:
@@ -27,7 +28,7 @@ class BufferAccount:
         self.committed_ms = 0  # path time at which the last sent segment ends
         self.ended = False  # the end record (time 0) was sent
         self.last_position_qc = 0
-        self.wrong_since_us: float | None = None  # host time of the first report that disagreed
+        self._excess = 0  # records that the drive had more than accounted for, at the last report
         self._begins: list[int] = []  # path time at which each record leaves the FIFO
         self._on_bus_us: deque[float] = deque()  # when each record was seen on the bus
         self._forgotten = 0  # records dropped from the head of `_begins`
@@ -45,9 +46,13 @@ class BufferAccount:
         self._on_bus_us.append(t_us)
 
     @property
-    def on_bus(self) -> int:
-        """How many records have been seen on the bus."""
-        return self._forgotten + len(self._on_bus_us)
+    def all_on_bus(self) -> bool:
+        """Whether every record that was sent has been seen on the bus."""
+        return self._forgotten + len(self._on_bus_us) == self.sent
+
+    def level(self, path_ms: float | None) -> int:
+        """Records in the FIFO by the books, corrected by what the drive last said."""
+        return min(max(self.used(path_ms) + self._excess, 0), BUFFER_SIZE)
 
     def used(self, path_ms: float | None) -> int:
         """Records in the FIFO at `path_ms` besides the one in execution; None: not started."""
@@ -63,24 +68,29 @@ class BufferAccount:
         """Path time from which fewer than `count` records are in the FIFO; 0 if never so many."""
         return self._begins[-count] if len(self._begins) >= count else 0.0
 
-    def mismatch(self, free: int, t_us: float, path_ms: float | None) -> str:
-        """What is wrong with a report of `free` records at host time `t_us`, or ""."""
+    def report(
+        self, free: int, asked_us: float, from_ms: float | None, to_ms: float | None
+    ) -> str:
+        """The drive, asked at host time `asked_us`, had `free` records free between two path times.
+
+        Before the start (None) it has to have every record, after it what is accounted for. What
+        is wrong, or "".
+        """
         reported = BUFFER_SIZE - free
-        surely = self._forgotten + bisect_right(self._on_bus_us, t_us - REPORT_LATENCY_US)
-        if path_ms is None:
-            least, most = surely, self.sent
+        if to_ms is None:
+            least = most = self.sent
         else:
-            # On either side of the report's instant, and with or without the one in execution.
-            early = path_ms - REPORT_LATENCY_US / 1000
-            taken_late = self.sent - self.used(path_ms + 2.0)
-            taken_early = self.sent - self.used(early)
-            least = surely - min(surely, taken_late)
-            most = self.sent - taken_early + 1
-            self._forget(early)
-        if least <= reported <= most:
+            from_ms = from_ms or 0.0
+            surely = self._forgotten + bisect_right(self._on_bus_us, asked_us - REPORT_LATENCY_US)
+            least = surely - min(surely, self.sent - self.used(to_ms + 2.0))
+            most = self.used(from_ms - 2.0) + 1  # with the one in execution
+            self._forget(from_ms - REPORT_LATENCY_US / 1000)
+        self._excess = reported - min(max(reported, least), most)
+        if not self._excess:
             return ""
+        accounted = f"{least} to {most} are" if least < most else f"{most} {_are(most)}"
         return (
-            f"its buffer holds {reported} records where {least} to {most} are accounted for: "
+            f"its buffer holds {reported} records where {accounted} accounted for: "
             f"records were lost or repeated on the bus"
         )
 
@@ -92,3 +102,7 @@ class BufferAccount:
             for _ in range(gone):
                 self._on_bus_us.popleft()
             self._forgotten += gone
+
+
+def _are(count: int) -> str:
+    return "is" if count == 1 else "are"

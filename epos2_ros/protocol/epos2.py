@@ -12,13 +12,16 @@ PDOs (note, 3.7 and "Motion Synchronisation"). Identifiers are the predefined co
 | RPDO2 | 300+id  | synchronous (1)    | controlword: takes effect at the next SYNC         |
 | RPDO3 | 400+id  | asynchronous (255) | high resolution time stamp                         |
 | RPDO4 | 500+id  | asynchronous (255) | controlword: takes effect at once                  |
-| TPDO1 | 180+id  | event, inhibited   | statusword, buffer status, actual (free) buffer    |
+| TPDO1 | 180+id  | event, inhibited   | statusword, buffer status                          |
 | TPDO2 | 280+id  | event, inhibited   | position actual, velocity actual                   |
 | TPDO3 | 380+id  | synchronous (1)    | time stamp of the SYNC, statusword, current        |
 | TPDO4 | 480+id  | synchronous (1)    | position demand, buffer status, following error    |
 
 The two synchronous TPDOs repeat statusword and buffer status at every SYNC, so that a lost
 event is made good within one SYNC period.
+
+How many records are free (0x60C4-02) is read by SDO: the note maps it, but by the maker's own EDS
+it can't be mapped.
 
 With a drive as clock master ("Motion Synchronisation") the host sends no time stamps: TPDO3 of the
 master carries the time stamp and nothing else, RPDO3 of the others is on its COB-ID, and the
@@ -34,10 +37,13 @@ VENDOR_ID = 0x000000FB
 DEVICE_PROFILE = 402
 BUFFER_SIZE = 64
 MODE_INTERPOLATED_POSITION = 7
+FIRST_SOFTWARE = 0x2101  # that has it
+QUICK_STOP_OPTION = 3  # of 0x6007
 
 # Controlword and statusword bits of the interpolated position mode (tables 7 and 10).
 ENABLE_IP_MODE = 0x0010
 IP_MODE_ACTIVE_STATUSWORD = 0x1000
+REFRESH_CYCLE = 0x4000  # maxon's own: 4123h refreshes the power stage, 4133h measures the motor
 
 # Object dictionary.
 DEVICE_TYPE = 0x1000
@@ -47,10 +53,13 @@ COMMUNICATION_CYCLE_PERIOD = 0x1006
 CONSUMER_HEARTBEAT_TIME = 0x1016
 PRODUCER_HEARTBEAT_TIME = 0x1017
 IDENTITY = 0x1018
+REVISION_SUBINDEX = 3
 HIGH_RESOLUTION_TIME_STAMP = 0x1013
+VERSION = 0x2003  # -01 software, -02 hardware
 INTERPOLATION_DATA_RECORD = 0x20C1
 INTERPOLATION_STATUS = 0x20C4
 FOLLOWING_ERROR_ACTUAL = 0x20F4
+ABORT_CONNECTION_OPTION = 0x6007
 CONTROLWORD = 0x6040
 STATUSWORD = 0x6041
 MODES_OF_OPERATION = 0x6060
@@ -70,6 +79,7 @@ VELOCITY_NOTATION_INDEX = 0x608B
 INTERPOLATION_SUB_MODE = 0x60C0
 INTERPOLATION_TIME_PERIOD = 0x60C2
 INTERPOLATION_DATA_CONFIGURATION = 0x60C4
+ACTUAL_BUFFER_SUBINDEX = 2  # free records
 BUFFER_CLEAR_SUBINDEX = 6
 MAX_ACCELERATION = 0x60C5
 
@@ -80,6 +90,7 @@ EMCY = 0x080  # + node id
 TIME = 0x100
 TPDO1, TPDO2, TPDO3, TPDO4 = 0x180, 0x280, 0x380, 0x480
 RPDO1, RPDO2, RPDO3, RPDO4 = 0x200, 0x300, 0x400, 0x500
+SDO_ANSWER, SDO_REQUEST = 0x580, 0x600
 HEARTBEAT = 0x700
 
 GENERATES_SYNC = 1 << 30  # in 0x1005: the drive sends SYNC (CiA 301)
@@ -109,12 +120,7 @@ RPDO_MAPPINGS = (
     PdoMapping(4, RPDO4, ASYNCHRONOUS, ((CONTROLWORD, 0),)),
 )
 TPDO_MAPPINGS = (
-    PdoMapping(
-        1,
-        TPDO1,
-        ASYNCHRONOUS,
-        ((STATUSWORD, 0), (INTERPOLATION_STATUS, 1), (INTERPOLATION_DATA_CONFIGURATION, 2)),
-    ),
+    PdoMapping(1, TPDO1, ASYNCHRONOUS, ((STATUSWORD, 0), (INTERPOLATION_STATUS, 1))),
     PdoMapping(2, TPDO2, ASYNCHRONOUS, ((POSITION_ACTUAL, 0), (VELOCITY_ACTUAL, 0))),
     PdoMapping(
         3,
@@ -148,7 +154,7 @@ def clock_slave_rpdo_mappings(master_id: int) -> tuple[PdoMapping, ...]:
     return (*RPDO_MAPPINGS[:2], stamp, *RPDO_MAPPINGS[3:])
 
 
-TPDO1_LAYOUT = struct.Struct("<HHI")
+TPDO1_LAYOUT = struct.Struct("<HH")
 TPDO2_LAYOUT = struct.Struct("<ii")
 TPDO3_LAYOUT = struct.Struct("<IHh")
 TPDO4_LAYOUT = struct.Struct("<iHh")
@@ -182,6 +188,18 @@ class BufferStatus:
         "buffer_enabled": BUFFER_ENABLED,
         "ip_mode_active": IP_MODE_ACTIVE,
     }
+
+
+_FREE_RECORDS = struct.Struct("<BHBI")
+
+
+def free_records(sdo_answer: bytes) -> int | None:
+    """What an SDO answer says of 0x60C4-02; None if it is of anything else."""
+    if len(sdo_answer) != _FREE_RECORDS.size:
+        return None
+    command, index, subindex, free = _FREE_RECORDS.unpack(sdo_answer)
+    wanted = (0x43, INTERPOLATION_DATA_CONFIGURATION, ACTUAL_BUFFER_SUBINDEX)  # 4 bytes, expedited
+    return free if (command, index, subindex) == wanted else None
 
 
 EMERGENCIES = {

@@ -1,5 +1,10 @@
 """Which record goes to which drive, and when: the fitter on one side, the books on the other.
 
+A path begins with a record that holds the position for HOLD_MS, and references begin after it.
+READING: no text says whether the first record is the end of a segment or only the point where the
+path starts. Either way the drive stays where it is; if it is only the starting point everything is
+HOLD_MS early, in all drives alike.
+
 Nothing is sent that time does not leave room for. Three records are kept in every drive besides
 the one in execution, and `buffer_time_ms` of motion; 3.6.3 of the application note asks for two
 in the FIFO and leaves open whether the executing segment counts.
@@ -12,7 +17,7 @@ from collections.abc import Sequence
 
 from epos2_ros.errors import TrajectoryError
 from epos2_ros.motion.fit import Fitter
-from epos2_ros.motion.record import MAX_SEGMENT_MS
+from epos2_ros.motion.record import MAX_SEGMENT_MS, Record
 from epos2_ros.motion.reference import Reference
 from epos2_ros.motion.stream import Stream
 from epos2_ros.protocol import epos2
@@ -20,6 +25,7 @@ from epos2_ros.protocol.axis import Axis
 from epos2_ros.protocol.buffer_account import BufferAccount
 from epos2_ros.protocol.frame import Frame
 
+HOLD_MS = 1
 MIN_RECORDS_AHEAD = 3  # in the FIFO, so that two remain when the next segment begins
 MAX_RECORDS_AHEAD = epos2.BUFFER_SIZE - 4
 STREAM_AHEAD_MS = 50.0
@@ -51,7 +57,7 @@ class Feeder:
         """A new motion, from where the drives stand."""
         self._follow(reference)
         self.known_from_ms, self._path_ms = -math.inf, 0.0
-        self._fitter.begin(reference, [axis.demand_qc or 0 for axis in self._axes])
+        self._fitter.begin(reference, [axis.demand_qc or 0 for axis in self._axes], HOLD_MS)
         for axis in self._axes:
             axis.account = BufferAccount()
             axis.audit.rest(axis.demand_qc or 0)
@@ -102,38 +108,20 @@ class Feeder:
             ((i, axis) for i, axis in enumerate(self._axes) if not axis.account.ended),
             key=lambda candidate: self._due_ms(candidate[1].account),
         )
-        try:
-            record = self._fitter.next(index)
-        except TrajectoryError as error:
-            raise TrajectoryError(f"{axis}: {error}") from error
+        record = self._next_record(index, axis)
         if record is None:
             return None
         axis.account.send(record)
         axis.audit.send(record)
         return axis.record(record)
 
-    def unreported(self) -> list[Axis]:
-        """Axes that have not yet reported every record sent to them before the start."""
-        return [
-            axis for axis in self._axes if not axis.account.on_bus == axis.account.sent == axis.used
-        ]
-
-    def audit(self, axis: Axis, t_us: float, path_ms: float | None) -> str:
-        """What is wrong between an axis' report of its buffer and the books, or "".
-
-        A lost record stays lost, while a report that a busy host has read late is made good by
-        the next. So it is wrong once the reports disagree for half the buffer time: what follows
-        a lost record in the FIFO is still to come then.
-        """
-        account = axis.account
-        wrong = account.mismatch(axis.free, t_us, path_ms)
-        if not wrong:
-            account.wrong_since_us = None
-        elif account.wrong_since_us is None:
-            account.wrong_since_us = t_us
-        elif t_us >= account.wrong_since_us + 500 * self._buffer_time_ms:
-            return wrong
-        return ""
+    def _next_record(self, index: int, axis: Axis) -> Record | None:
+        if not axis.account.sent:
+            return Record(axis.demand_qc or 0, 0, HOLD_MS)
+        try:
+            return self._fitter.next(index)
+        except TrajectoryError as error:
+            raise TrajectoryError(f"{axis}: {error}") from error
 
     def _due_ms(self, account: BufferAccount) -> float:
         due = min(account.committed_ms - self._ahead_ms, account.leaves_ms(MIN_RECORDS_AHEAD))

@@ -1,8 +1,8 @@
 """All axes of one bus as a single machine: enable, start together, feed, stop together.
 
-No I/O: frames and times go in (`receive`, `advance`), frames, buffer-clear requests and events
-come out (`outbox`, `clearing`, `events`), and `deadline_us` says when `advance` is wanted next.
-Times are host microseconds.
+No I/O: frames and times go in (`receive`, `advance`), frames, requests to clear and read buffers,
+and events come out (`outbox`, `clearing`, `reads.outbox`, `events`), and `deadline_us` says when
+`advance` is wanted next. Times are host microseconds.
 
 The rules this file keeps:
 
@@ -31,6 +31,7 @@ from epos2_ros.errors import DriveError, MotionAborted, MotionStopped, Trajector
 from epos2_ros.motion.reference import Reference
 from epos2_ros.protocol import cia402, epos2
 from epos2_ros.protocol.axis import Axis, AxisSetup
+from epos2_ros.protocol.buffer_reads import BufferReads
 from epos2_ros.protocol.cia402 import State
 from epos2_ros.protocol.feeder import Feeder
 from epos2_ros.protocol.frame import Frame
@@ -160,6 +161,7 @@ class Group:
         self.feeder = Feeder(
             self.axes, settings.buffer_time_ms, settings.tolerance_qc, settings.smoothness
         )
+        self.reads = BufferReads(self.axes, settings.buffer_time_ms)
         self._now_us = -math.inf
         self._requests: list[Future[None]] = []  # that end with what the group is at
         self._disable_next: Future[None] | None = None  # as soon as the axes are at rest
@@ -217,6 +219,13 @@ class Group:
                 axis.restarted = True
                 self._trouble()
 
+        def sdo_answer(data: bytes, t_us: float) -> None:
+            if (free := epos2.free_records(data)) is not None:
+                self._on_free_records(index, free, t_us)
+
+        def asked(t_us: float) -> None:
+            axis.asked_us = t_us
+
         node = axis.node_id
         for cob_id, handler in (
             (epos2.TPDO1 + node, axis.on_tpdo1),
@@ -225,17 +234,18 @@ class Group:
             (epos2.TPDO4 + node, tpdo4),
             (epos2.EMCY + node, emergency),
             (epos2.HEARTBEAT + node, heartbeat),
+            (epos2.SDO_ANSWER + node, sdo_answer),
         ):
-            self._handlers[cob_id] = self._heard(index, cob_id, handler)
+            self._handlers[cob_id] = self._heard(index, handler)
+        self._echo_handlers[epos2.SDO_REQUEST + node] = asked
         self._echo_handlers[epos2.RPDO1 + node] = lambda t_us: axis.account.seen_on_bus(t_us)
         self._echo_handlers[epos2.RPDO2 + node] = lambda t_us: self._seen(node)
         self._echo_handlers[epos2.RPDO3 + node] = lambda t_us: self.time.on_stamp(index)
 
     def _heard(
-        self, index: int, cob_id: int, handler: Callable[[bytes, float], None]
+        self, index: int, handler: Callable[[bytes, float], None]
     ) -> Callable[[bytes, float], None]:
         axis = self.axes[index]
-        reports_buffer = cob_id == epos2.TPDO1 + axis.node_id
 
         def receive(data: bytes, t_us: float) -> None:
             axis.heard_us = t_us
@@ -243,8 +253,6 @@ class Group:
             handler(data, t_us)
             if axis.statusword & cia402.FAULT_BIT:
                 self._trouble()
-            elif reports_buffer and self.phase is Phase.MOVING:
-                self._audit(axis, t_us)
 
         return receive
 
@@ -445,6 +453,17 @@ class Group:
             or (self.phase is Phase.CLEARING and not self._moved)
         )
 
+    def buffer_not_read(self, index: int, error: str) -> None:
+        """An axis in `reads.outbox` could not be asked.
+
+        Without its answer no motion starts; one in progress goes on.
+        """
+        if self.reads.unanswered(index):
+            if self.phase is Phase.PRIMING:
+                self._stop_all(error)
+            elif self.phase is Phase.MOVING:
+                self.announce("warning", error)
+
     def begin(self, reference: Reference, start_us: float | None = None) -> None:
         """Start a motion from rest; its SYNC goes out at `start_us`, or as soon as possible.
 
@@ -482,6 +501,7 @@ class Group:
         (reference, start_us), self._next = self._next, None
         self._planned_start_us = start_us
         self.feeder.begin(reference)
+        self.reads.begin()
         self._enter(Phase.PRIMING)
         self.time.before_path(max(self._now_us, (start_us or -math.inf) - 2 * LEAD_US))
 
@@ -570,9 +590,12 @@ class Group:
         if self.phase is Phase.MOVING and self.start_us is not None:
             end_ms = self.feeder.committed_ms + END_TIMEOUT_MS
             due_ms = min(self.feeder.due_ms, end_ms)
-            return self.zero_us(self._now_us) + 1000 * due_ms + ROUNDING_US
+            due_us = self.zero_us(self._now_us) + 1000 * due_ms + ROUNDING_US
+            return min(due_us, self.reads.due_us)
         if self.phase is Phase.PRIMING and self.feeder.due_ms <= 0:
             return self._now_us
+        if self.phase is Phase.PRIMING and self.reads.unreported():
+            return self._now_us + RESEND_US / 4
         if self.phase is Phase.PRIMING and self._arm_due_us() > self._now_us:
             return self._arm_due_us()
         if self.phase is Phase.ARMING and self._hosts_sync:
@@ -625,7 +648,7 @@ class Group:
             if last and last.state is axis.state and self._now_us < last.sent_us + RESEND_US:
                 continue
             controlword = cia402.step(axis.state, target)
-            if controlword is None:
+            if controlword is None or axis.powering_up:
                 continue
             if controlword == cia402.FAULT_RESET:  # bit 7 has to rise
                 self.outbox.append(axis.controlword(cia402.DISABLE_VOLTAGE))
@@ -722,7 +745,8 @@ class Group:
         if self._feed():
             self._fed_us = self._now_us
             return
-        missing = self.feeder.unreported()
+        missing = self.reads.unreported()
+        self.reads.ask_all(self._now_us)
         if not missing:
             if not self.time.clear or not self._may_arm():
                 return
@@ -732,7 +756,7 @@ class Group:
         elif self._now_us > self._fed_us + REPLY_TIMEOUT_US:
             axis = missing[0]
             self._stop_all(
-                f"{axis} reports {axis.used} records in its buffer where "
+                f"{axis} reports {axis.account.level(None)} records in its buffer where "
                 f"{axis.account.sent} were sent"
             )
 
@@ -808,6 +832,7 @@ class Group:
         self._feed()
         if self.phase is not Phase.MOVING:
             return
+        self.reads.watch(self._now_us)
         path_ms = self.path_ms(self._now_us)
         assert path_ms is not None
         active = [axis for axis in self.axes if axis.ip_active]
@@ -822,10 +847,12 @@ class Group:
         elif path_ms > self.feeder.committed_ms + END_TIMEOUT_MS and self.feeder.ending:
             self._stop_all(f"{active[0]} is still active after its end record")
 
-    def _audit(self, axis: Axis, t_us: float) -> None:
-        wrong = self.feeder.audit(axis, t_us, self.path_ms(t_us))
-        if wrong:
-            self._stop_all(f"{axis}: {wrong}")
+    def _on_free_records(self, index: int, free: int, t_us: float) -> None:
+        asked_us = self.axes[index].asked_us
+        from_ms, to_ms = self.path_ms(asked_us), self.path_ms(t_us)
+        wrong = self.reads.answer(index, free, asked_us, from_ms, to_ms)
+        if wrong and self.phase is Phase.MOVING:
+            self._stop_all(f"{self.axes[index]}: {wrong}")
 
     def _off_path(self, axis: Axis, wrong: str) -> None:
         """What the audit of the executed path says, where a path is executed or all stand."""

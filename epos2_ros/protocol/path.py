@@ -30,6 +30,7 @@ from epos2_ros.motion.stream import Stream, is_streamed
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.motion.units import AxisUnits
 from epos2_ros.protocol.execution import Execution
+from epos2_ros.protocol.feeder import HOLD_MS
 from epos2_ros.protocol.group import IN_MOTION, NOT_BEGUN, End, Group, Phase
 
 LATE_START_US = 50_000.0  # a trajectory joined midway from rest starts so much after its message
@@ -45,7 +46,10 @@ class Way(Enum):
 
 @dataclass(frozen=True)
 class Placement:
-    """Where on path time a trajectory is to begin, and what the axes are doing until then."""
+    """Where on path time a trajectory is to begin, and what the axes are doing until then.
+
+    From rest it is HOLD_MS after the start SYNC, which goes out so much before a given time.
+    """
 
     way: Way
     trajectory: Trajectory
@@ -227,16 +231,20 @@ class PathCommander:
         self, trajectory: Trajectory, stamp_us: float | None, now_us: float
     ) -> Placement:
         """On a start SYNC: as soon as possible, at the stamp, or joined midway."""
-        start_ms, planned_start_us = 0, stamp_us
-        if stamp_us is not None and stamp_us < now_us + LATE_START_US:
-            planned_start_us = now_us + LATE_START_US
-            start_ms = round((stamp_us - planned_start_us) / 1000)
+        start_ms, planned_start_us = HOLD_MS, None
+        if stamp_us is not None:
+            planned_start_us = stamp_us - 1000 * HOLD_MS
+            if stamp_us < now_us + LATE_START_US:
+                planned_start_us = now_us + LATE_START_US
+                start_ms = round((stamp_us - planned_start_us) / 1000)
         here = [
             unit.from_qc(float(demand_qc or 0))
             for unit, demand_qc in zip(self._units, self._standing_qc(), strict=True)
         ]
         rest = Reference.at_rest(self._units, here)
-        return self._placement(Way.BEGIN, trajectory, stamp_us, rest, 0, start_ms, planned_start_us)
+        return self._placement(
+            Way.BEGIN, trajectory, stamp_us, rest, HOLD_MS, start_ms, planned_start_us
+        )
 
     def _standing_qc(self) -> tuple[int | None, ...]:
         return tuple(axis.demand_qc for axis in self._group.axes)

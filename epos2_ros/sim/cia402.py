@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from enum import Enum, IntEnum
 from functools import partial
+from typing import NamedTuple
 
 from .dictionary import (
     INTEGER8,
@@ -24,7 +25,7 @@ from .dictionary import (
 from .homing import ACTUAL_POSITION, METHODS, Search, Switches, plan
 from .motor import Motor
 from .profile import Profile, jog, stop, trapezoid
-from .slave import INF, Identity, Slave
+from .slave import HEARTBEAT_ERROR, INF, Identity, Slave
 
 FOLLOWING_ERROR = 0x8611
 SOFTWARE_POSITION_LIMIT = 0xFF09
@@ -44,6 +45,9 @@ class State(Enum):
     QUICK_STOP_ACTIVE = 0x0117
     FAULT_REACTION_ACTIVE = 0x011F
     FAULT = 0x0108
+    # between "switched on" and "operation enabled", by themselves
+    REFRESH = 0x4123  # of the power stage
+    MEASURE_INIT = 0x4133  # of the motor, once after power-on
 
 
 class Mode(IntEnum):
@@ -79,6 +83,16 @@ class Status:
 
 
 _POWERED = (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE)
+_POWERING_UP = (State.REFRESH, State.MEASURE_INIT)
+
+
+class Delays(NamedTuple):
+    """How long the drive takes [ms]."""
+
+    refresh: float = 0.0
+    measure: float = 0.0
+    fault_reset: float = 0.0
+    boot: float = 0.0  # from a reset or power-on to the boot-up message
 
 
 class Drive(Slave):
@@ -100,7 +114,10 @@ class Drive(Slave):
         switches: Switches,
         rate: float,
         t_us: float,
+        delays: Delays,
+        frames_needed: int,
     ) -> None:
+        self._delays = delays
         self.counts_per_turn = counts_per_turn
         self._motor = motor
         self._switches = switches
@@ -112,7 +129,7 @@ class Drive(Slave):
         self._cycle = 0
         self._profile: Profile | None = None
         self._profile_start = 0
-        super().__init__(node_id, identity, t_us)
+        super().__init__(node_id, identity, t_us, delays.boot, frames_needed)
         self.rate = rate
         self._build_objects()
         self._reset_application()
@@ -128,6 +145,11 @@ class Drive(Slave):
     def position_actual(self) -> int:
         """0x6064."""
         return self._motor.measured
+
+    @property
+    def velocity_actual(self) -> int:
+        """0x606C: from the counts of one control cycle, so in steps of 1 qc/ms."""
+        return round(round(self._motor.velocity) / self._velocity_unit)
 
     @property
     def mode(self) -> int:
@@ -225,7 +247,7 @@ class Drive(Slave):
             fast(
                 "Velocity actual value",
                 INTEGER32,
-                read=lambda: round(self._motor.velocity / self._velocity_unit),
+                read=lambda: self.velocity_actual,
             ),
         )
         od.variable(
@@ -245,6 +267,9 @@ class Drive(Slave):
                 INTEGER16,
                 read=lambda: _int16(self.position_demand - self._motor.measured),
             ),
+        )
+        self._abort_connection = od.variable(
+            0x6007, Entry("Abort connection option code", INTEGER16, value=3, low=0, high=3)
         )
         # parameters of motion (the note, tables 4 and 17)
         self._max_following_error = od.variable(
@@ -302,7 +327,7 @@ class Drive(Slave):
         )
 
     def _check_not_enabled(self, _: int) -> None:
-        if self.state in _POWERED:
+        if self.state in _POWERED or self.state in _POWERING_UP:
             raise SdoAbort(AbortCode.DEVICE_STATE)
 
     def _check_homing_method(self, value: int) -> None:
@@ -329,6 +354,7 @@ class Drive(Slave):
 
     def _reset_application(self) -> None:
         self.state = State.SWITCH_ON_DISABLED
+        self._measured = False  # the motor, since power-on
         self._word = 0  # the last control word
         self._mode = self._selected_mode.value
         self._referenced = False
@@ -351,9 +377,7 @@ class Drive(Slave):
         state = self.state
         if state is State.FAULT:
             if rising & Control.FAULT_RESET:
-                self.state = State.SWITCH_ON_DISABLED
-                self._following_error = False
-                self.clear_emergency()
+                self._in(self._delays.fault_reset)
         elif state is not State.FAULT_REACTION_ACTIVE:
             self._command(word)
             if state is State.OPERATION_ENABLED and self.state is State.OPERATION_ENABLED:
@@ -384,8 +408,33 @@ class Drive(Slave):
                     self._stop(self._profile_deceleration)
             elif state is State.OPERATION_ENABLED:
                 self._when_stopped = None
-            else:
-                self._enable_operation()
+            elif state not in _POWERING_UP:
+                self._power_up()
+
+    def _power_up(self) -> None:
+        """On the way to "operation enabled": the power stage first, then the motor, if need be."""
+        self.state = State.REFRESH
+        self._in(self._delays.refresh)
+
+    def _in(self, delay_ms: float) -> None:
+        """`_on_alarm` in a while, or at once."""
+        if delay_ms:
+            self._alarm_us = self.now_us + 1000.0 * delay_ms
+        else:
+            self._on_alarm()
+
+    def _on_alarm(self) -> None:
+        self._dirty = True
+        if self.state is State.FAULT:
+            self.state = State.SWITCH_ON_DISABLED
+            self._following_error = False
+            self.clear_emergency()
+        elif self.state is State.REFRESH and not self._measured:
+            self.state = State.MEASURE_INIT
+            self._in(self._delays.measure)
+        elif self.state in _POWERING_UP:
+            self._measured = True
+            self._enable_operation()
 
     def _enable_operation(self) -> None:
         self.state = State.OPERATION_ENABLED
@@ -394,6 +443,7 @@ class Drive(Slave):
 
     def _switch_off(self, state: State) -> None:
         """Power stage off, at once."""
+        self._alarm_us = INF
         if self.state in _POWERED:
             self._release()
         self.state = state
@@ -431,11 +481,16 @@ class Drive(Slave):
                 self._when_stopped = State.FAULT
                 self._stop(self._quick_stop_deceleration)
         else:
+            self._alarm_us = INF
             self.state = State.FAULT
             self.emergency(code)
 
     def _on_communication_error(self, code: int) -> None:
-        self._fault(code)
+        """A heartbeat that fails to appear matters as 0x6007 says: 0 is "no action"."""
+        if code == HEARTBEAT_ERROR and self._abort_connection.value == 0:
+            self.emergency(code)
+        else:
+            self._fault(code)
 
     # --- modes of operation -------------------------------------------------------------
 

@@ -7,7 +7,7 @@ them; what it refuses it refuses with the abort code of CiA 301, table 22.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, field
 from enum import IntEnum
 
@@ -31,6 +31,7 @@ class AbortCode(IntEnum):
     VALUE_RANGE = 0x0609_0030
     VALUE_TOO_HIGH = 0x0609_0031
     VALUE_TOO_LOW = 0x0609_0032
+    STORING = 0x0800_0020  # data can't be transferred or stored
     DEVICE_STATE = 0x0800_0022
 
 
@@ -86,7 +87,7 @@ class Entry:
 
     name: str
     type: DataType
-    access: str = "rw"  # "ro", "rw", "wo" or "const"
+    access: str = "rw"  # "ro", "rw", "rww" (mappable for reception only), "wo" or "const"
     value: int = 0
     low: int | None = None  # range narrower than the type's
     high: int | None = None
@@ -96,10 +97,15 @@ class Entry:
     write: Callable[[int], None] | None = None
     fast: bool = False
     text: bytes = b""  # of a VISIBLE_STRING
-    default: int = field(init=False)
+    default: int = field(init=False)  # as it left the factory
+    stored: int = field(init=False)  # what it has after power-on
 
     def __post_init__(self) -> None:
-        self.default = self.value
+        self.preset(self.value)
+
+    def preset(self, value: int) -> None:
+        """The value the device left the factory with, and has now."""
+        self.value = self.stored = self.default = value
 
     def get(self) -> int:
         return self.value if self.read is None else self.read()
@@ -141,6 +147,14 @@ class ObjectDictionary:
         self.variable(index, Entry("Number of entries", UNSIGNED8, "const", len(entries)))
         for subindex, entry in enumerate(entries, 1):
             self.variable(index, entry, subindex)
+
+    def keep(self, keys: Collection[tuple[int, int]]) -> None:
+        """Forgets every entry that is not at one of these (index, subindex)."""
+        self._entries = {key: entry for key, entry in self._entries.items() if key in keys}
+        self._indices = {index for index, _ in self._entries}
+
+    def __contains__(self, key: tuple[int, int]) -> bool:
+        return key in self._entries
 
     def __getitem__(self, key: tuple[int, int]) -> Entry:
         """The entry at (index, subindex). Raises `SdoAbort` if there is none."""

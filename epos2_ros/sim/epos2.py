@@ -19,14 +19,18 @@ Where the note leaves a choice, this drive takes the one that forgives less:
 - Ip mode that ends in motion (bit 4, halt, the mode, an end record too early) leaves the
   axis to the profile deceleration.
 - TIME and time stamps move the clock of the path, also in motion.
+
+Its object dictionary is the maker's (`epos2_objects`), or the note's where that is asked for.
 """
 
 from __future__ import annotations
 
 import math
+from enum import Enum
 from functools import partial
 
-from .cia402 import SOFTWARE_POSITION_LIMIT, Control, Mode, State, Status
+from . import epos2_objects
+from .cia402 import SOFTWARE_POSITION_LIMIT, Control, Delays, Mode, State, Status
 from .clock import MotionClock
 from .dictionary import (
     INTEGER8,
@@ -47,8 +51,28 @@ from .recorder import Recorder
 from .slave import Identity
 
 MAXON = 0x0000_00FB
+SAVE, LOAD = 0x6576_6173, 0x6461_6F6C  # "save" and "load" (CiA 301, 7.5.2.13 and 7.5.2.14)
 IPM_ERROR = 0xFF0C
 _TOLERANCE = 1 + 1e-9  # for limits that are met exactly
+
+
+class Dictionary(Enum):
+    """Whose object dictionary a drive has."""
+
+    MAKER = "maker"
+    NOTE = "note"
+
+
+class FirstRecord(Enum):
+    """What the first record of a path is; no document says it."""
+
+    SEGMENT = "segment"  # the end of a segment that begins where the axis stands
+    START = "start"  # the point at which the path begins; its time doesn't count
+
+
+REAL = Delays(refresh=25.0, measure=130.0, fault_reset=25.0, boot=262.0)
+"""Of drives that have been watched: a reset takes 262 ms to the boot-up message, enabling well over
+125 ms, a fault reset 25 ms; how enabling divides is a guess."""
 
 
 class Epos2(PositionOutputs):
@@ -65,6 +89,12 @@ class Epos2(PositionOutputs):
     noise_qc:           standard deviation of the measured position while it moves
     switches:           of the machine, for homing
     record:             keep what is executed in `recorder`
+    dictionary:         its objects: the maker's, or the note's
+    first_record:       what it takes the first record of a path for
+    stamps_transmitted: 0x1013 can be mapped into a TPDO, as the note has it; the maker's EDS of
+                        2013 has it for reception only, its specification for both directions
+    delays:             how long boot-up, enabling and the reset of a fault take
+    frames_needed:      of others, before it has detected the bus's bit rate; 0: it is set
     """
 
     MODES = (*PositionOutputs.MODES, Mode.INTERPOLATED_POSITION)
@@ -84,11 +114,19 @@ class Epos2(PositionOutputs):
         seed: int = 0,
         record: bool = False,
         vendor_id: int = MAXON,
-        product_code: int = 0x6210_0000,
-        revision: int = 0x2101_0000,
+        product_code: int = 0x6420_0000,
+        revision: int = 0x2126_0000,
         serial: int = 1,
         t_us: float = 0.0,
+        dictionary: Dictionary = Dictionary.MAKER,
+        first_record: FirstRecord = FirstRecord.SEGMENT,
+        stamps_transmitted: bool = True,
+        delays: Delays = REAL,
+        frames_needed: int = 0,
     ) -> None:
+        self._dictionary = dictionary
+        self._first_record = first_record
+        self._stamps_transmitted = stamps_transmitted
         identity = Identity(
             device_type=0x0002_0192,
             vendor_id=vendor_id,
@@ -113,6 +151,8 @@ class Epos2(PositionOutputs):
             switches=switches or Switches(),
             rate=self.clock.rate,
             t_us=t_us,
+            delays=delays,
+            frames_needed=frames_needed,
         )
 
     # --- observation and faults ---------------------------------------------------------
@@ -211,6 +251,60 @@ class Epos2(PositionOutputs):
             Entry("Size of data record", UNSIGNED8, "wo", 8, low=8, high=8),
             Entry("Buffer clear", UNSIGNED8, "wo", high=1, write=self._on_buffer_clear),
         )
+        if self._dictionary is Dictionary.MAKER:
+            self._take_makers_objects()
+
+    def _take_makers_objects(self) -> None:
+        """No other objects than the maker's; what nothing here reads just keeps its value."""
+        od, node = self.dictionary, self.node_id
+        pdos = [key for key, _ in od.items() if 0x1400 <= key[0] <= 0x1BFF]
+        od.keep({*pdos, *((row.index, row.subindex) for row in epos2_objects.rows())})
+        for row in epos2_objects.rows():
+            key = row.index, row.subindex
+            entry = od[key] if key in od else od.variable(row.index, Entry("", row.type), key[1])
+            entry.name, entry.access, entry.mappable = row.name, row.access, row.mappable
+            if row.low is not None:
+                entry.low, entry.high = row.low, row.high
+            if (default := row.default_of(node)) is not None:
+                entry.preset(default)
+        if self._stamps_transmitted:
+            od[0x1013, 0].access = "rw"
+        for index, subindex, value in (
+            (0x2000, 0, node),
+            (0x2003, 1, od[0x1018, 3].value >> 16),
+            (0x2003, 2, od[0x1018, 2].value >> 16),
+            (0x2004, 0, od[0x1018, 4].value),
+        ):
+            od[index, subindex].preset(value)
+        self._selected_mode.preset(Mode.PROFILE_POSITION)
+        for storage, signature, act in ((0x1010, SAVE, self._save), (0x1011, LOAD, self._load)):
+            entry = od[storage, 1]
+            entry.read, entry.check = lambda: 1, partial(self._check_signature, signature)
+            entry.write = act
+        for rpdo, factory in zip(self.rpdos, epos2_objects.RPDOS, strict=True):
+            rpdo.types = epos2_objects.RPDO_TYPES
+            rpdo.preset(factory.cob_id + node, factory.mapping)
+        for tpdo, factory in zip(self.tpdos, epos2_objects.TPDOS, strict=True):
+            tpdo.types = epos2_objects.TPDO_TYPES
+            tpdo.inhibit.preset(epos2_objects.INHIBIT_100US)
+            tpdo.preset(factory.cob_id + node, factory.mapping)
+        self._reconfigure()
+
+    @staticmethod
+    def _check_signature(signature: int, value: int) -> None:
+        if value != signature:
+            raise SdoAbort(AbortCode.STORING)
+
+    def _save(self, signature: int) -> None:
+        """All parameters as they are now are there after power-on."""
+        for _, entry in self.dictionary.items():
+            if entry.access in ("rw", "rww"):
+                entry.stored = entry.value
+
+    def _load(self, signature: int) -> None:
+        """After the next reset all parameters are as they left the factory."""
+        for _, entry in self.dictionary.items():
+            entry.stored = entry.default
 
     def _reset_application(self) -> None:
         self._ip_active = False
@@ -282,6 +376,10 @@ class Epos2(PositionOutputs):
         self._origin_us, self._cycle = self.received_us, 0
         self._schedule_cycle()
         self._segment = None
+        if self._first_record is FirstRecord.START and len(self._fifo):
+            start = self._fifo.pop()
+            self._demand = start.position
+            self._demand_velocity = start.velocity * self._velocity_unit
         self._next_segment()
         if self.recorder is not None:
             self.recorder.begin()

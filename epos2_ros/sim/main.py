@@ -17,6 +17,7 @@ from epos2_ros.buslog.writer import LogWriter
 from epos2_ros.errors import ConfigurationError, Epos2RosError
 from epos2_ros.receive_buffer import deepen
 
+from .epos2 import Dictionary
 from .realtime import (
     RealtimeSimulator,
     build_copley_drives,
@@ -88,6 +89,14 @@ def _arguments(argv: list[str]) -> argparse.Namespace:
     )
     parser.add_argument(
         "--drift-ppm", type=_not_negative, default=0.0, help="clocks drift by up to ± this"
+    )
+    parser.add_argument(
+        "--dictionary",
+        type=Dictionary,
+        choices=list(Dictionary),
+        default=Dictionary.MAKER,
+        metavar="{maker,note}",
+        help="object dictionary of the EPOS2 drives: the maker's or the application note's",
     )
     parser.add_argument("--seed", type=int, default=0, help="of everything random")
     parser.add_argument(
@@ -198,6 +207,7 @@ def main(argv: list[str] | None = None) -> int:
         seed=arguments.seed,
         bitrate=arguments.bitrate,
         record=arguments.log is not None,
+        dictionary=arguments.dictionary,
     )
     copley = build_copley_drives(arguments.copley, drift_ppm=arguments.drift_ppm)
     observed = {} if log is None else {"on_frame": log.frame}

@@ -8,7 +8,7 @@ of entries is 0; writing that number checks objects and length.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Container, Sequence
 from contextlib import suppress
 
 from .dictionary import (
@@ -63,12 +63,13 @@ class Pdo:
         self.transmission = Entry("Transmission type", UNSIGNED8, value=255)
         self.transmission.check = self._check_transmission
         self.transmission.write = self._on_configured
-        self.count = Entry("Number of mapped objects", UNSIGNED8, high=MAX_ENTRIES)
+        self.count = Entry("Number of mapped objects", UNSIGNED8, low=0, high=MAX_ENTRIES)
         self.count.check, self.count.write = self._check_count, self._on_count
         self.slots = [
             Entry(f"Mapped object {n}", UNSIGNED32, check=self._check_slot)
             for n in range(1, MAX_ENTRIES + 1)
         ]
+        self.types: Container[int] = range(256)  # that this device has, of those that exist
         self.entries: list[Entry] = []  # what the mapping stands for
         self.fast = False  # one of them may change in any control cycle
         dictionary.record(
@@ -98,9 +99,17 @@ class Pdo:
     def synchronous(self) -> bool:
         return self.transmission.value <= MAX_SYNCHRONOUS
 
+    def preset(self, cob_id: int, mapping: Sequence[int]) -> None:
+        """As the device leaves the factory; the objects have to be in the dictionary."""
+        self.cob_id.preset(cob_id)
+        self.count.preset(len(mapping))
+        for slot, mapped in zip(self.slots, mapping, strict=False):
+            slot.preset(mapped)
+        self.reset()
+
     def reset(self) -> None:
-        """All entries went back to their defaults: invalid, nothing mapped."""
-        self.entries, self.fast = [], False
+        """All entries went back to what they have after power-on."""
+        self._on_count(self.count.value)
         self.restart()
 
     def restart(self) -> None:
@@ -120,8 +129,12 @@ class Pdo:
                 raise SdoAbort(AbortCode.VALUE_RANGE)
 
     def _check_transmission(self, value: int) -> None:
-        if not (1 <= value <= MAX_SYNCHRONOUS or value in (254, 255)):
+        if value not in self.types or not self._exists(value):
             raise SdoAbort(AbortCode.VALUE_RANGE)
+
+    def _exists(self, transmission: int) -> bool:
+        """Whether the direction has this transmission type (CiA 301, 7.5.2.35 and 7.5.2.37)."""
+        return 1 <= transmission <= MAX_SYNCHRONOUS or transmission in (254, 255)
 
     def _check_slot(self, value: int) -> None:
         if self.valid or self.count.value != 0:
@@ -164,7 +177,7 @@ class ReceivePdo(Pdo):
         self._waiting: bytes | None = None
 
     def _fits(self, entry: Entry) -> bool:
-        return entry.access in ("rw", "wo")
+        return entry.access in ("rw", "rww", "wo")
 
     def restart(self) -> None:
         self._waiting = None
@@ -211,11 +224,11 @@ class TransmitPdo(Pdo):
         self._syncs = 0
 
     def _more_communication(self) -> tuple[Entry, ...]:
-        self._inhibit = Entry("Inhibit time", UNSIGNED16, check=self._check_inhibit)
-        return (self._inhibit,)
+        self.inhibit = Entry("Inhibit time", UNSIGNED16, check=self._check_inhibit)
+        return (self.inhibit,)
 
     def _fits(self, entry: Entry) -> bool:
-        return entry.access != "wo"
+        return entry.access not in ("rww", "wo")
 
     @property
     def event_driven(self) -> bool:
@@ -223,14 +236,13 @@ class TransmitPdo(Pdo):
 
     @property
     def inhibit_us(self) -> float:
-        return 100.0 * self._inhibit.value
+        return 100.0 * self.inhibit.value
 
     def restart(self) -> None:
         self.ready_us, self.waiting, self.sent, self._syncs = -math.inf, False, None, 0
 
-    def _check_transmission(self, value: int) -> None:
-        if value != REMOTE_REQUEST:
-            super()._check_transmission(value)
+    def _exists(self, transmission: int) -> bool:
+        return transmission == REMOTE_REQUEST or super()._exists(transmission)
 
     def _check_inhibit(self, value: int) -> None:
         if self.valid:

@@ -18,7 +18,7 @@ from pathlib import Path
 import can
 
 from .copley import Copley
-from .epos2 import Epos2
+from .epos2 import Dictionary, Epos2
 from .recorder import save
 from .slave import Slave
 
@@ -58,6 +58,7 @@ def build_drives(
     seed: int = 0,
     bitrate: int = 1_000_000,
     record: bool = False,
+    dictionary: Dictionary = Dictionary.MAKER,
 ) -> list[Epos2]:
     """Drives whose clocks start anywhere and run at 1 + U(−drift_ppm, drift_ppm)·1e-6."""
     rng = random.Random(seed)
@@ -72,6 +73,7 @@ def build_drives(
             bitrate=bitrate,
             seed=seed + node_id,
             record=record,
+            dictionary=dictionary,
             serial=node_id,
             t_us=now_us(),
         )

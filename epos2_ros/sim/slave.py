@@ -85,14 +85,26 @@ def error_register_bits(code: int) -> int:
 class Slave:
     """The communication half of a device; a subclass brings the application.
 
-    It overrides the hooks `_tick` (with `_tick_us`, when it is due), `_on_sync`,
-    `_on_time`, `_on_communication_error`, `_reset_application`.
+    It overrides the hooks `_tick` (with `_tick_us`, when it is due), `_on_alarm` (`_alarm_us`),
+    `_on_sync`, `_on_time`, `_on_communication_error`, `_reset_application`.
+
+    boot_ms:       from a reset or power-on to the boot-up message; the device is made booted
+    frames_needed: of others, before it knows the bus's bit rate and starts up
     """
 
-    def __init__(self, node_id: int, identity: Identity, t_us: float = 0.0) -> None:
+    def __init__(
+        self,
+        node_id: int,
+        identity: Identity,
+        t_us: float = 0.0,
+        boot_ms: float = 0.0,
+        frames_needed: int = 0,
+    ) -> None:
         if not 1 <= node_id <= 127:
             raise ValueError(f"node id {node_id}: must be 1 … 127")
         self.node_id = node_id
+        self._boot_ms = boot_ms
+        self._frames_needed = self._frames_left = frames_needed
         self.now_us = t_us
         self.next_event_us = INF
         self.received_us = t_us  # when the frame being looked at came in
@@ -106,6 +118,8 @@ class Slave:
         self._timers_us = INF
         self._heartbeat_us = INF
         self._sync_us = INF
+        self._boot_us = INF  # when it has started up
+        self._alarm_us = INF
         self._deadlines_us: dict[int, float] = {}  # of the heartbeats consumed
         self._dirty = False
         self._fast_ready_us = INF
@@ -123,7 +137,8 @@ class Slave:
             for n in range(1, NUMBER_OF_PDOS + 1)
         ]
         self._event_tpdos: list[TransmitPdo] = []
-        self._boot()
+        if not frames_needed:
+            self._boot()
 
     # --- the world outside --------------------------------------------------------------
 
@@ -132,8 +147,13 @@ class Slave:
 
         A frame may be handed in late (`t_us` before `now_us`): what it does counts from `t_us`.
         """
+        if not (self.connected and self.powered):
+            return False
+        if self._frames_left:
+            self._listen(t_us)
+            return False
         handler = self._handlers.get(can_id)
-        if handler is None or not (self.connected and self.powered):
+        if handler is None:
             return False
         self.advance(t_us)
         self.received_us = t_us
@@ -141,11 +161,18 @@ class Slave:
             self._remote_request(can_id)
         else:
             handler(data)
-        self._dirty = True
         self._dirty = True  # what a frame changes is looked at after the inhibit time, too
         self._send_events()
         self._arm()
         return True
+
+    def _listen(self, t_us: float) -> None:
+        """Bit rate detection: the device is not on the bus yet."""
+        self._frames_left -= 1
+        if not self._frames_left:
+            self.now_us = max(t_us, self.now_us)
+            self._start_up()
+            self._arm()
 
     def transmitted(self, can_id: int, t_us: float) -> None:
         """A frame of `outbox` was completed on the bus: a SYNC producer hears its own SYNC."""
@@ -184,11 +211,13 @@ class Slave:
         self.powered = False
         self.outbox.clear()
         self.next_event_us = self._tick_us = self._timers_us = INF
+        self._alarm_us = self._boot_us = INF
 
     def power_on(self, t_us: float) -> None:
-        """Starts anew, with the parameters' defaults."""
+        """Starts anew, with the parameters that are stored."""
         self.powered = True
         self.now_us = max(t_us, self.now_us)
+        self._frames_left = self._frames_needed
         self._reset_node()
         self._arm()
 
@@ -196,6 +225,9 @@ class Slave:
 
     def _tick(self) -> None:
         """The control cycle due at `_tick_us`."""
+
+    def _on_alarm(self) -> None:
+        """What `_alarm_us` was set for; it is INF again."""
 
     def _on_sync(self) -> None:
         """SYNC came in at `received_us`, before any synchronous PDO is looked at."""
@@ -367,9 +399,20 @@ class Slave:
     def _sync_can_id(self) -> int:
         return self._sync_cob_id.value & 0x7FF
 
+    def _start_up(self) -> None:
+        """Initialising; boot-up follows in `boot_ms`, or when the bit rate is known."""
+        self.nmt_state = NmtState.INITIALISING
+        self._reconfigure()
+        if self._frames_left:
+            return
+        if self._boot_ms:
+            self._boot_us = self.now_us + 1000.0 * self._boot_ms
+        else:
+            self._boot()
+
     def _boot(self) -> None:
         """Boot-up message, then pre-operational (7.3.2.2.1)."""
-        self.nmt_state = NmtState.INITIALISING
+        self._boot_us = INF
         self._send(HEARTBEAT + self.node_id, bytes(1))
         self._enter(NmtState.PRE_OPERATIONAL)
 
@@ -399,7 +442,8 @@ class Slave:
 
     def _reset_node(self) -> None:
         for _, entry in self.dictionary.items():
-            entry.value = entry.default
+            entry.value = entry.stored
+        self._alarm_us = INF
         self.error_register = 0
         self._history.clear()
         self._reset_application()
@@ -408,18 +452,22 @@ class Slave:
     def _reset_communication(self) -> None:
         for (index, _), entry in self.dictionary.items():
             if 0x1000 <= index <= 0x1FFF:
-                entry.value = entry.default
+                entry.value = entry.stored
         for pdo in (*self.rpdos, *self.tpdos):
             pdo.reset()
         self._sdo.reset()
         self._deadlines_us.clear()
-        self._heartbeat_us = self._sync_us = INF
-        self._boot()
+        self._heartbeat_us = self.now_us if self._heartbeat_ms.value else INF
+        self._sync_us = INF
+        self._start_up()
 
     def _reconfigure(self) -> None:
         """Who listens to which identifier, in the present NMT state (7.3.2.2.4, table 38)."""
-        self._handlers = {NMT: self._on_nmt}
+        self._handlers = {}
         self._event_tpdos = []
+        if self.nmt_state is NmtState.INITIALISING:
+            return
+        self._handlers[NMT] = self._on_nmt
         if self._communicates:
             self._handlers[SDO_REQUEST + self.node_id] = self._on_sdo
             self._handlers[TIME] = lambda _: self._on_time()
@@ -506,6 +554,8 @@ class Slave:
         self._timers_us = min(
             self._heartbeat_us,
             self._sync_us,
+            self._boot_us,
+            self._alarm_us,
             *self._deadlines_us.values(),
             *(tpdo.ready_us for tpdo in self._event_tpdos if tpdo.waiting),
         )
@@ -513,8 +563,14 @@ class Slave:
 
     def _run_timers(self) -> None:
         now = self.now_us
+        if self._boot_us <= now:
+            self._boot()
+        if self._alarm_us <= now:
+            self._alarm_us = INF
+            self._on_alarm()
         if self._heartbeat_us <= now:
-            self._send(HEARTBEAT + self.node_id, bytes([self.nmt_state]))
+            if self.nmt_state is not NmtState.INITIALISING:  # there it is the boot-up message
+                self._send(HEARTBEAT + self.node_id, bytes([self.nmt_state]))
             self._heartbeat_us += 1000.0 * self._heartbeat_ms.value / self.rate
         if self._sync_us <= now:
             self._send(self._sync_can_id, b"")

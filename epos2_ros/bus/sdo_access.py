@@ -1,0 +1,138 @@
+"""Objects of one drive by SDO, with errors that say what was attempted and what to check.
+
+canopen's client does the transfers. Whatever goes wrong with one of them becomes a DriveError of
+one line: the drive, what was attempted in words, what the drive answered, what to do about it.
+"""
+
+from __future__ import annotations
+
+import queue
+import struct
+import time
+from collections.abc import Callable
+from typing import TypeVar
+
+import canopen
+from canopen.objectdictionary import datatypes
+
+from epos2_ros.errors import DriveError
+from epos2_ros.protocol.sdo import NO_OBJECT, NO_SUBINDEX, describe_abort
+
+T = TypeVar("T")
+
+
+class Refused(DriveError):
+    """The drive answered with an abort code."""
+
+    def __init__(self, line: str, code: int) -> None:
+        super().__init__(line)
+        self.code = code
+
+    @property
+    def absent(self) -> bool:
+        """Whether the drive has no such object."""
+        return self.code in (NO_OBJECT, NO_SUBINDEX)
+
+
+class NoAnswer(DriveError):
+    """The drive did not answer in time, or not what it was asked."""
+
+
+class SdoAccess:
+    """Reads and writes integers of `node`'s EDS; `drive` names it in errors ("joint_1 (node 1)").
+
+    `joint`: whose parameters are to be checked. All methods raise DriveError: Refused or NoAnswer.
+    """
+
+    def __init__(self, node: canopen.RemoteNode, joint: str, drive: str) -> None:
+        self._node = node
+        self._joint = joint
+        self._drive = drive
+        self._limit_s = 0.0
+        self._deadline_s = float("inf")
+
+    def limit(self, seconds: float) -> None:
+        """What is attempted from now on has to be within this time; NoAnswer after it."""
+        self._limit_s, self._deadline_s = seconds, time.monotonic() + seconds
+
+    def name(self, index: int, subindex: int = 0) -> str:
+        """The object as its maker names it, with its number."""
+        entry = self._node.object_dictionary.get(index)
+        number = f"0x{index:04X}-{subindex:02X}"
+        if entry is None:
+            return number
+        if isinstance(entry, canopen.objectdictionary.ODVariable):
+            return f"{entry.name} ({number})"
+        part = entry.subindices.get(subindex)
+        return f"{entry.name}: {part.name} ({number})" if part else f"{entry.name} ({number})"
+
+    def size(self, index: int, subindex: int = 0) -> int:
+        """Of an object [bits]."""
+        return len(self._variable(index, subindex))
+
+    def read(self, index: int, subindex: int = 0) -> int:
+        """The value of an object."""
+        attempt = f"read {self.name(index, subindex)}"
+        variable = self._variable(index, subindex)
+        data = self._transfer(attempt, "", lambda: self._node.sdo.upload(index, subindex))
+        size = self.size(index, subindex) // 8
+        if len(data) < size:
+            raise NoAnswer(
+                f"{self._drive}: can't {attempt}: {len(data)} bytes came where it has {size}; "
+                "check that the drive's firmware is one that is supported"
+            )
+        signed = variable.data_type in datatypes.SIGNED_TYPES
+        return int.from_bytes(data[:size], "little", signed=signed)
+
+    def find(self, index: int, subindex: int = 0) -> int | None:
+        """The value of an object that a drive may have or not; None: it has no such object."""
+        try:
+            return self.read(index, subindex)
+        except Refused as refusal:
+            if refusal.absent:
+                return None
+            raise
+
+    def write(
+        self, index: int, value: int, subindex: int = 0, attempt: str = "", check: str = ""
+    ) -> None:
+        """Set an object.
+
+        `attempt`: what that does, in words; `check`: what a refused value came from.
+        """
+        done = attempt or f"set {self.name(index, subindex)} to {value}"
+        data = self._variable(index, subindex).encode_raw(value)
+        self._transfer(done, check, lambda: self._node.sdo.download(index, subindex, data))
+
+    def _variable(self, index: int, subindex: int) -> canopen.objectdictionary.ODVariable:
+        variable = self._node.object_dictionary.get_variable(index, subindex)
+        if variable is None:
+            raise ValueError(f"0x{index:04X}-{subindex:02X} is not in the EDS")
+        return variable
+
+    def _transfer(self, attempt: str, check: str, transfer: Callable[[], T]) -> T:
+        failed = f"{self._drive}: can't {attempt}: "
+        if time.monotonic() > self._deadline_s:
+            raise NoAnswer(
+                f"{failed}the {self._limit_s:g} s are over in which a drive has to be set up; "
+                "check the bus for disturbances and load"
+            )
+        try:
+            return transfer()
+        except canopen.SdoAbortedError as error:
+            answer = describe_abort(error.code, self._joint, check)
+            raise Refused(f"{failed}the drive refuses it: {answer}", error.code) from error
+        except canopen.SdoCommunicationError as error:
+            if isinstance(error.__context__, queue.Empty):
+                what = f"no answer within {self._node.sdo.RESPONSE_TIMEOUT:g} s"
+            else:
+                what = f"not the answer to it: {error}"
+            raise NoAnswer(
+                f"{failed}{what}; check the drive's power and the wiring, and that no other "
+                "program talks to the drive"
+            ) from error
+        except (struct.error, canopen.ObjectDictionaryError) as error:
+            raise NoAnswer(
+                f"{failed}what came is no answer to an SDO request ({error}); check that no other "
+                "device has this node id"
+            ) from error
