@@ -10,6 +10,7 @@ Nothing here needs ROS: the node declares these parameters, `plan` reads them fr
 
 from __future__ import annotations
 
+import re
 from array import array
 from collections import Counter
 from collections.abc import Mapping
@@ -69,7 +70,7 @@ class Spec:
             return f"a list of {length}numbers{self._bounds}"
         if self._any_length:
             return f"a list of up to {MAX_AXES} names of letters, digits and _, each once"
-        return f"a list of 1 to {MAX_AXES} names, each once"
+        return f"a list of 1 to {MAX_AXES} names of letters, digits, _, -, . and /, each once"
 
     @property
     def _any_length(self) -> bool:
@@ -104,7 +105,7 @@ class Spec:
             return []
         values = [self._read_one(v, self._like) for v in value]
         if isinstance(self._like, str):
-            named = all(map(_is_token if self._any_length else bool, values))
+            named = all(map(_is_token if self._any_length else _is_joint, values))
             valid = named and 1 <= len(set(values)) == len(values) <= MAX_AXES
         else:
             valid = self._any_length or len(values) == len(self.default)
@@ -444,6 +445,11 @@ class DriverParameters:
 def _is_token(name: str) -> bool:
     """Whether it can be a part of a topic's name."""
     return name.isascii() and name.isidentifier() and "__" not in name
+
+
+def _is_joint(name: str) -> bool:
+    """Whether it can be a part of a parameter's name, on the command line, too."""
+    return re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_./-]*", name) is not None
 
 
 def _finite(value: float) -> float | None:

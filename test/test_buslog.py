@@ -151,7 +151,8 @@ def test_the_simulator_says_so_too(tmp_path, capsys):
     assert simulator.main(["--slcan", "--bus-log", str(file)]) == 2
     line = capsys.readouterr().err
     assert line == (
-        f"simulator: --bus-log is '{file}', which can't be written: No such file or directory\n"
+        f"epos2_ros simulator: --bus-log is '{file}', which can't be written: "
+        "No such file or directory\n"
     )
 
 

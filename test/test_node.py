@@ -28,6 +28,7 @@ from rclpy.context import Context
 from rclpy.executors import MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -495,6 +496,51 @@ def test_a_trajectory_reaches_the_drives(world):
     world.publish_trajectory("b", "a")
     world.wait(lambda: driver.trajectories)
     assert driver.trajectories[0].joint_names == ("b", "a")
+
+
+def test_effort_in_a_point_is_said_to_be_ignored_once(world):
+    driver = world.started()
+    point = JointTrajectoryPoint(positions=[0.0, 0.0], effort=[1.0, 1.0])
+    for _ in range(2):
+        world.publish("joint_trajectory", JointTrajectory(joint_names=["a", "b"], points=[point]))
+    world.wait(lambda: len(driver.trajectories) == 2)
+    world.lines()
+    said = [(level, line) for level, line in world.log if "effort" in line]
+    assert [level for level, _ in said] == ["WARN"]
+
+
+class TestSimulatedTime:
+    """With `use_sim_time` a stamp is a time of /clock, in messages to the node and from it."""
+
+    @staticmethod
+    def stamped(sec: int) -> JointTrajectory:
+        point = JointTrajectoryPoint(positions=[0.0, 0.0])
+        message = JointTrajectory(joint_names=["a", "b"], points=[point])
+        message.header.stamp.sec = sec
+        return message
+
+    def test_stamps_in_and_out_mean_the_same_clock(self, world):
+        driver = world.started(use_sim_time=True)
+        clock = world.peer.create_publisher(Clock, "/clock", 10)
+        world.wait(clock.get_subscription_count)
+        clock.publish(Clock(clock=Time(sec=1000)))
+        states = world.listen(JointState, "/joint_states")
+        world.wait(lambda: states and states[-1].header.stamp.sec in (999, 1000))
+        before = time.time()
+        world.publish("joint_trajectory", self.stamped(1002))
+        world.wait(lambda: driver.trajectories)
+        # 2 s ahead, in the system's time
+        assert before + 2 <= driver.trajectories[0].stamp_s <= time.time() + 2
+        world.publish("joint_trajectory", self.stamped(0))
+        world.wait(lambda: len(driver.trajectories) == 2)
+        assert driver.trajectories[1].stamp_s is None  # now, in any clock
+
+    def test_without_a_clock_a_stamp_is_refused_in_words(self, world):
+        world.started(use_sim_time=True)
+        world.publish("joint_trajectory", self.stamped(1002))
+        world.logged("use_sim_time is true, and no /clock has come yet")
+        world.publish("joint_trajectory", self.stamped(0))
+        world.wait(lambda: world.drivers[0].trajectories)
 
 
 def test_a_refused_trajectory_is_one_line(world):

@@ -458,7 +458,8 @@ def test_numbers_as_people_write_them(command):
         ("", "standard input is empty"),
         ("a: [", "can't read standard input: "),
         ("- 1\n", "not a JointTrajectory"),
-        ("points: 3", "not a JointTrajectory"),
+        ("points: 3", "not a JointTrajectory: points is 3; it must be a list of points"),
+        ("joints: [a]", "not a JointTrajectory: it has 'joints'; a trajectory has header, joint"),
         (message(points=[]), "standard input has no points"),
     ],
 )
@@ -570,6 +571,7 @@ class Page(HTMLParser):
         self.tags: list[str] = []
         self.cells: list[str] = []
         self.links: list[str] = []
+        self.title = ""
         self.feed(text)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
@@ -583,15 +585,18 @@ class Page(HTMLParser):
     def handle_data(self, data: str) -> None:
         if self.tags and self.tags[-1] == "td":
             self.cells.append(data.strip())
+        if self.tags and self.tags[-1] == "title":
+            self.title += data.strip()
 
 
 def test_the_page_needs_nothing_else(command, tmp_path):
-    odd = message(joint_names=["<a&b>", "b"])
-    ended = command("-", "--output", "plot.html", stdin=odd)
+    (tmp_path / "<a&b>.yaml").write_text(message())
+    ended = command("<a&b>.yaml", "--output", "plot.html")
     assert (ended.status, ended.err) == (0, "")
     page = Page((tmp_path / "plot.html").read_text())
     assert page.tags.count("svg") == 1
     assert not {"script", "link", "img", "iframe"} & set(page.tags)
     assert page.links == []
-    assert "<a&b> [rad]" in page.cells
+    assert page.title == "<a&b>.yaml"
+    assert "a [rad]" in page.cells
     assert all(cell in page.cells for cell in ended.row("b"))

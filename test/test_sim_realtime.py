@@ -354,7 +354,7 @@ def test_bad_arguments_get_one_line(
     assert main(arguments) == 2
     output, error = capsys.readouterr()
     assert output == ""
-    assert error.startswith("simulator: ")
+    assert error.startswith("epos2_ros simulator: ")
     assert error.count("\n") == 1
     assert says in error
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import copy
+import re
 from array import array
 from collections.abc import Callable
+from time import time as now_s
 from types import SimpleNamespace
 from typing import Any
 
@@ -44,11 +46,11 @@ GOOD: dict[str, Any] = {
 def message_of(content: dict[str, Any]) -> SimpleNamespace:
     """What rclpy hands over: attributes, and array.array for the numbers."""
 
-    def time(value: dict[str, int]) -> SimpleNamespace:
+    def time_of(value: dict[str, int]) -> SimpleNamespace:
         return SimpleNamespace(sec=value["sec"], nanosec=value["nanosec"])
 
     return SimpleNamespace(
-        header=SimpleNamespace(stamp=time(content["header"]["stamp"]), frame_id=""),
+        header=SimpleNamespace(stamp=time_of(content["header"]["stamp"]), frame_id=""),
         joint_names=list(content["joint_names"]),
         points=[
             SimpleNamespace(
@@ -56,7 +58,7 @@ def message_of(content: dict[str, Any]) -> SimpleNamespace:
                     name: array("d", point.get(name, []))
                     for name in ("positions", "velocities", "accelerations", "effort")
                 },
-                time_from_start=time(point["time_from_start"]),
+                time_from_start=time_of(point["time_from_start"]),
             )
             for point in content["points"]
         ],
@@ -238,6 +240,63 @@ def test_what_is_no_trajectory_is_refused_in_one_line(content: Any) -> None:
     with pytest.raises(TrajectoryError) as refusal:
         Trajectory.from_dict(content)
     assert "\n" not in str(refusal.value)
+    assert not re.search("object|Error|NoneType|attribute|argument|'int'", str(refusal.value))
+
+
+def one(**changes: Any) -> dict[str, Any]:
+    point = {"positions": [0.0], "time_from_start": {"sec": 1}, **changes.pop("point", {})}
+    return {"joint_names": ["a"], "points": [point], **changes}
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (one(header={"seq": 1}), "header has 'seq' as in ROS 1; a header has stamp, frame_id"),
+        (
+            one(header={"stamp": {"secs": 1, "nsecs": 0}}),
+            "header.stamp has 'secs' as in ROS 1; a time has sec, nanosec",
+        ),
+        (
+            one(point={"time_from_start": {"secs": 1}}),
+            "point 0: time_from_start has 'secs' as in ROS 1; a time has sec, nanosec",
+        ),
+        (
+            one(point={"time_from_start": 1.5}),
+            "point 0: time_from_start is 1.5; a time has sec, nanosec",
+        ),
+        (
+            one(point={"time_from_start": {"sec": 1.5}}),
+            "point 0: time_from_start: sec is 1.5; it must be a whole number from -2147483648 ",
+        ),
+        (one(point={"positions": 1.0}), "point 0: positions is 1.0; it must be a list"),
+        (one(point={"positions": ["x"]}), "point 0: positions holds x, no number"),
+        (one(point={"positions": [True]}), "point 0: positions holds true, no number"),
+        (one(point={"position": [0.0]}), "point 0 has 'position'; a point has positions, veloc"),
+        (one(joint_names=[True]), "joint_names holds true; it must be a list of names, and a name"),
+        (one(header="now"), "header is now; a header has stamp, frame_id"),
+        (one(header={"stamp": "later"}), "header.stamp is later; a time has sec, nanosec"),
+    ],
+)
+def test_what_a_message_cannot_hold_is_refused_in_words(content: Any, says: str) -> None:
+    with pytest.raises(TrajectoryError) as refusal:
+        Trajectory.from_dict(content)
+    assert str(refusal.value).startswith(says)
+
+
+@pytest.mark.parametrize("header", ["auto", {"stamp": "now"}, {"stamp": "now", "frame_id": "b"}])
+def test_auto_and_now_are_what_ros2_topic_pub_makes_of_them(header: Any) -> None:
+    before = now_s()
+    stamp_s = Trajectory.from_dict(one(header=header)).stamp_s
+    assert stamp_s is not None and before <= stamp_s <= now_s()
+
+
+@pytest.mark.parametrize("effort", [[], [1.0]])
+def test_effort_is_noticed(effort: list[float]) -> None:
+    content = one(point={"effort": effort})
+    stamped = {"header": {"stamp": {"sec": 0, "nanosec": 0}}, **content}
+    stamped["points"][0]["time_from_start"]["nanosec"] = 0
+    for trajectory in (Trajectory.from_dict(content), Trajectory.from_message(message_of(stamped))):
+        assert trajectory.has_effort == bool(effort)
 
 
 @pytest.mark.parametrize(

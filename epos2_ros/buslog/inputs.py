@@ -239,6 +239,7 @@ class Repeater:
             for name in ("times_s", "positions", "velocities", "accelerations")
             if name in piece
         }
+        arrays: dict[str, Any]
         arrays = {name: np.array(rows, dtype=np.float64) for name, rows in whole.items()}
         self.trajectory = Trajectory(
             joint_names=tuple(piece["joint_names"]), stamp_s=piece["stamp_s"], **arrays

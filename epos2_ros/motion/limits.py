@@ -124,11 +124,14 @@ def check(curve: Curve, limits: Limits, zero_s: float = 0.0) -> None:
         over[beyond] = (value[order][beyond] - bound) / np.maximum(np.abs(bound), 1e-9)
         side, joint = np.unravel_index(np.argmax(over), over.shape)
         unit = limits.units[joint] + ("", "/s", "/s²")[order]
-        worst = value[order, side, joint] * (1, -1)[side]
+        sign = (1, -1)[side]
+        worst, allowed = value[order, side, joint] * sign, bounds[order, side, joint]
+        limit = f"±{allowed:.6g}"
+        if order == 0:
+            limit = f"at {('most', 'least')[side]} {allowed * sign:.6g}"
         raise TrajectoryError(
             f"joint '{limits.joints[joint]}': {quantity} {worst:.6g} {unit} "
-            f"at {when[order, side, joint] - zero_s:.3f} s, allowed "
-            f"{-bounds[order, 1, joint]:.6g} … {bounds[order, 0, joint]:.6g} {unit}"
+            f"at {when[order, side, joint] - zero_s:.3f} s, allowed {limit} {unit}"
         )
 
 

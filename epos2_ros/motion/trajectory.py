@@ -6,6 +6,7 @@ Every refusal is one line that names the joint, the point (counted from 0) and t
 
 from __future__ import annotations
 
+import time
 from array import array
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -20,6 +21,10 @@ from epos2_ros.errors import TrajectoryError
 
 REST_VELOCITY = 1e-6  # a last point slower than this is at rest [unit/s]
 _FIELDS = ("positions", "velocities", "accelerations")
+_MESSAGE_FIELDS = ("header", "joint_names", "points")
+_POINT_FIELDS = (*_FIELDS, "effort", "time_from_start")
+_ROS_1 = ("seq", "secs", "nsecs")
+_SHOWN = 40  # characters of a value that is refused
 # What builtin_interfaces/Time and Duration hold: int32 and uint32.
 _TIME_FIELDS = {"sec": (-(2**31), 2**31 - 1), "nanosec": (0, 2**32 - 1)}
 
@@ -34,6 +39,7 @@ class Trajectory:
     velocities: NDArray[np.float64] | None = None  # [points, joints] [unit/s]
     accelerations: NDArray[np.float64] | None = None  # [points, joints] [unit/s²]
     stamp_s: float | None = None  # header.stamp; None: as soon as possible
+    has_effort: bool = False  # which does not count
 
     def __post_init__(self) -> None:
         if len(self.times_s):
@@ -43,21 +49,31 @@ class Trajectory:
             self._check_rest()
 
     @classmethod
-    def from_dict(cls, message: Mapping[str, Any]) -> Trajectory:
+    def from_dict(cls, message: Any) -> Trajectory:
         """From the mapping that the YAML of `ros2 topic pub` and `echo` holds."""
-        try:
-            points = message["points"] or ()
-            return cls._from_points(
-                _names(message.get("joint_names") or ()),
-                [_duration(point.get("time_from_start") or {}) for point in points],
-                {field: [point.get(field) or () for point in points] for field in _FIELDS},
-                _duration((message.get("header") or {}).get("stamp") or {}),
-            )
-        except (AttributeError, KeyError, TypeError, ValueError) as error:
+        _fields_of(message, "not a JointTrajectory: it", "trajectory", _MESSAGE_FIELDS)
+        if "points" not in message:
+            raise TrajectoryError("not a JointTrajectory: it has no points")
+        points = message["points"] or ()
+        if not isinstance(points, Sequence) or isinstance(points, str):
             raise TrajectoryError(
-                f"not a JointTrajectory (joint_names, points with positions and "
-                f"time_from_start): {type(error).__name__} {error}"
-            ) from error
+                f"not a JointTrajectory: points is {_shown(points)}; it must be a list of points"
+            )
+        for number, point in enumerate(points):
+            _fields_of(point, f"point {number}", "point", _POINT_FIELDS)
+        return cls._from_points(
+            _names(message.get("joint_names") or ()),
+            [
+                _time(point.get("time_from_start") or {}, f"point {number}: time_from_start")
+                for number, point in enumerate(points)
+            ],
+            {
+                field: [_numbers(point, number, field) for number, point in enumerate(points)]
+                for field in _FIELDS
+            },
+            _stamp(message.get("header") or {}),
+            has_effort=any(point.get("effort") for point in points),
+        )
 
     @classmethod
     def from_message(cls, message: Any) -> Trajectory:
@@ -70,6 +86,7 @@ class Trajectory:
             sec + nanosec * 1e-9,
             {field: list(map(attrgetter(field), points)) for field in _FIELDS},
             stamp.sec + stamp.nanosec * 1e-9,
+            has_effort=any(len(point.effort) for point in points),
         )
 
     @classmethod
@@ -79,6 +96,7 @@ class Trajectory:
         times_s: Sequence[float] | NDArray[np.float64],
         fields: Mapping[str, Sequence[Sequence[float]]],
         stamp_s: float,
+        has_effort: bool = False,
     ) -> Trajectory:
         if len(times_s):
             _check_joint_names(joint_names)
@@ -93,6 +111,7 @@ class Trajectory:
             np.array(times_s, dtype=np.float64),
             np.zeros((0, len(joint_names))) if positions is None else positions,
             stamp_s=stamp_s or None,
+            has_effort=has_effort,
             **arrays,
         )
 
@@ -181,19 +200,69 @@ def _check_joint_names(names: Sequence[str]) -> None:
             )
 
 
-def _duration(time: Mapping[str, Any]) -> float:
+def _fields_of(value: Any, where: str, kind: str, fields: Sequence[str]) -> None:
+    """Refuse what is no map, or has other fields than the message has."""
+    has = f"a {kind} has {', '.join(fields)}"
+    if not isinstance(value, Mapping):
+        raise TrajectoryError(f"{where} is {_shown(value)}; {has}")
+    for name in value:
+        if name not in fields:
+            ros1 = " as in ROS 1" if name in _ROS_1 else ""
+            raise TrajectoryError(f"{where} has {name!r}{ros1}; {has}")
+
+
+def _time(value: Any, where: str) -> float:
     """Seconds; a fraction of one belongs into `nanosec` and is not taken for 0."""
-    for field, value in time.items():
+    _fields_of(value, where, "time", tuple(_TIME_FIELDS))
+    for field, number in value.items():
         low, high = _TIME_FIELDS[field]
-        if not (low <= value <= high and value == int(value)):
-            raise ValueError(f"{field} is {value}; it must be a whole number from {low} to {high}")
-    return time.get("sec", 0) + time.get("nanosec", 0) * 1e-9
+        if not (
+            isinstance(number, (int, float)) and low <= number <= high and number == int(number)
+        ):
+            raise TrajectoryError(
+                f"{where}: {field} is {_shown(number)}; it must be a whole number "
+                f"from {low} to {high}"
+            )
+    return float(value.get("sec", 0) + value.get("nanosec", 0) * 1e-9)
+
+
+def _stamp(header: Any) -> float:
+    """header.stamp [s]; `auto` and `now`, as `ros2 topic pub` has them, are the time now."""
+    if header == "auto":
+        return time.time()
+    _fields_of(header, "header", "header", ("stamp", "frame_id"))
+    stamp = header.get("stamp") or {}
+    return time.time() if stamp == "now" else _time(stamp, "header.stamp")
 
 
 def _names(names: Any) -> tuple[str, ...]:
-    if isinstance(names, str) or not all(isinstance(name, str) for name in names):
-        raise TypeError(f"joint_names is {names}; it must be a list of names")
+    if isinstance(names, str) or not isinstance(names, Sequence):
+        raise TrajectoryError(f"joint_names is {_shown(names)}; it must be a list of names")
+    for name in names:
+        if not isinstance(name, str):
+            raise TrajectoryError(
+                f"joint_names holds {_shown(name)}; it must be a list of names, and a name that "
+                "YAML takes for something else be put in quotes"
+            )
     return tuple(names)
+
+
+def _numbers(point: Mapping[str, Any], number: int, field: str) -> Sequence[float]:
+    values = point.get(field) or ()
+    if isinstance(values, Sequence) and not isinstance(values, str):
+        for value in values:
+            if not isinstance(value, (int, float)) or isinstance(value, bool):
+                raise TrajectoryError(f"point {number}: {field} holds {_shown(value)}, no number")
+        return values
+    raise TrajectoryError(f"point {number}: {field} is {_shown(values)}; it must be a list")
+
+
+def _shown(value: Any) -> str:
+    """A value as in YAML, on one line."""
+    if value is None or isinstance(value, bool):
+        return {None: "empty", True: "true", False: "false"}[value]
+    text = " ".join(str(value).split())
+    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}…"
 
 
 def _matrix(

@@ -74,11 +74,13 @@ class TrajectoryAction:
         self,
         node: LifecycleNode,
         active_driver: Callable[[], Driver],
+        received: Callable[[Trajectory], Trajectory],
         to_ros: Callable[[float], Time],
         to_host: Callable[[Time], float],
     ) -> None:
         self._node = node
         self._active_driver = active_driver
+        self._received = received
         self._to_ros = to_ros
         self._to_host = to_host
         self._goal_time_s = self._period_s = 0.0
@@ -123,7 +125,7 @@ class TrajectoryAction:
     def _on_goal(self, goal: FollowJointTrajectory.Goal) -> GoalResponse:
         try:
             driver = self._active_driver()
-            trajectory = Trajectory.from_message(goal.trajectory)
+            trajectory = self._received(Trajectory.from_message(goal.trajectory))
             if not len(trajectory.times_s):
                 raise TrajectoryError("the trajectory has no points; cancel a goal to stop it")
             driver.check(trajectory)

@@ -23,6 +23,7 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
@@ -32,7 +33,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.srv import ChangeState
 from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
-from rclpy.clock import Clock, ClockType
+from rclpy.clock import Clock, ClockType, ROSClock
 from rclpy.executors import Executor, MultiThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.logging import LoggingSeverity
@@ -50,7 +51,7 @@ from epos2_ros.bus.driver import Driver
 from epos2_ros.bus.supervisor import described
 from epos2_ros.compare_config import CompareConfig
 from epos2_ros.config import ClockLimits, DriverConfig
-from epos2_ros.errors import Epos2RosError
+from epos2_ros.errors import Epos2RosError, TrajectoryError
 from epos2_ros.files import DRIVER
 from epos2_ros.motion.move import target_of
 from epos2_ros.motion.trajectory import Trajectory
@@ -121,6 +122,7 @@ class DriverNode(LifecycleNode):
         )
         self._channel = ""
         self._clock_limits = ClockLimits()
+        self._effort_told = False
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._topics_group = MutuallyExclusiveCallbackGroup()
         self._topic_timers: list[rclpy.timer.Timer] = []
@@ -160,7 +162,9 @@ class DriverNode(LifecycleNode):
         if find_spec("control_msgs") is not None:  # not among what is needed to run
             from epos2_ros.node.action import TrajectoryAction
 
-            self._action = TrajectoryAction(self, self._activated, self._ros_time, self._host_us)
+            self._action = TrajectoryAction(
+                self, self._activated, self._received, self._ros_time, self._host_us
+            )
 
         self._answer_change_state = self._service_change_state.callback
         self._service_change_state.callback = self._on_change_state
@@ -311,9 +315,31 @@ class DriverNode(LifecycleNode):
 
     def _on_trajectory(self, serialized: bytes) -> None:
         try:
-            self._activated().submit(read_trajectory(serialized))
+            self._activated().submit(self._received(read_trajectory(serialized)))
         except Epos2RosError as error:
             self.get_logger().error(f"trajectory refused: {error}")
+
+    def _received(self, trajectory: Trajectory) -> Trajectory:
+        """With its stamp, which is a time of the node's clock, in that of the system.
+
+        The drives' time goes on as the system's does: simulated time is compared with it at the
+        moment of the message.
+        """
+        if trajectory.has_effort and not self._effort_told:
+            self._effort_told = True
+            self.get_logger().warning(
+                "effort in a trajectory's points is ignored: the drives follow positions"
+            )
+        clock = self.get_clock()
+        assert isinstance(clock, ROSClock)
+        if trajectory.stamp_s is None or not clock.ros_time_is_active:
+            return trajectory
+        now_ns = clock.now().nanoseconds
+        if not now_ns:
+            raise TrajectoryError(
+                "use_sim_time is true, and no /clock has come yet: header.stamp means nothing"
+            )
+        return replace(trajectory, stamp_s=trajectory.stamp_s - now_ns * 1e-9 + time.time())
 
     def _on_move_to(self, message: JointTrajectory) -> None:
         try:

@@ -32,8 +32,8 @@ def joint_state(axes: Iterable[AxisSnapshot], stamp: Time) -> JointState:
     message = JointState()
     message.header.stamp = stamp
     message.name = [axis.joint for axis in axes]
-    message.position = [axis.position for axis in axes]
-    message.velocity = [axis.velocity for axis in axes]
+    message.position = [axis.position + 0.0 for axis in axes]
+    message.velocity = [axis.velocity + 0.0 for axis in axes]  # never -0.0
     message.effort = [axis.effort for axis in axes]
     return message
 

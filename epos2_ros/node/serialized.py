@@ -85,6 +85,7 @@ def _from_table(data: bytes) -> Trajectory | None:
         tuple(names),
         column("sec") + column("nanosec") * 1e-9,
         stamp_s=sec + nanosec * 1e-9 or None,
+        has_effort=bool(counts[3]),
         **given,
     )
 

@@ -68,7 +68,7 @@ def _not_negative(text: str) -> float:
 
 
 def _arguments(argv: list[str]) -> argparse.Namespace:
-    parser = _Parser(prog="simulator", description=__doc__)
+    parser = _Parser(prog="epos2_ros simulator", description=__doc__)
     parser.add_argument("--interface", default="socketcan", help="python-can interface")
     parser.add_argument("--channel", help="its channel, e.g. vcan0")
     parser.add_argument(
@@ -158,7 +158,7 @@ def _open_log(arguments: argparse.Namespace) -> LogWriter | None:
         return None
 
     def complain(text: str) -> None:
-        print(f"simulator: {text}", file=sys.stderr)
+        print(f"epos2_ros simulator: {text}", file=sys.stderr)
 
     size_bytes = arguments.bus_log_size * 1_000_000
     return LogWriter(
@@ -182,7 +182,8 @@ def _take_by_hand(simulator: RealtimeSimulator) -> None:
             node, counts = line.split()
             node_id, by = int(node), float(counts)
         except ValueError:
-            print(f"simulator: {line.strip()!r}: a node id and counts, like 3 500", file=sys.stderr)
+            wrong = f"{line.strip()!r}: a node id and counts, like 3 500"
+            print(f"epos2_ros simulator: {wrong}", file=sys.stderr)
             continue
         turned = simulator.push(node_id, by)
         print(f"node {node_id}: {f'turned by {by:g} counts' if turned else 'held'}", flush=True)
@@ -195,7 +196,7 @@ def main(argv: list[str] | None = None) -> int:
         log = _open_log(arguments)
         bus = _open_bus(arguments)
     except Epos2RosError as error:
-        print(f"simulator: {' '.join(str(error).split())}", file=sys.stderr)
+        print(f"epos2_ros simulator: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
