@@ -65,7 +65,7 @@ def measure(count: int, state_rate_hz: float, tolerance_qc: float, bitrate: int)
     )
     made.enable()
     made.path.submit(way, None, made.now_us)
-    made.run(10.0, lambda: made.group.start_us is not None)
+    made.run(10.0, lambda: made.machine.path_time.start_us is not None)
     finished = made.group.motion
     assert finished is not None
     due_us: list[float] = []

@@ -31,7 +31,8 @@ from epos2_ros.bus.driver import Driver
 from epos2_ros.buslog.writer import earlier_files
 from epos2_ros.config import DriverConfig
 from epos2_ros.demo.child import Child
-from epos2_ros.protocol.group import Event, Phase
+from epos2_ros.protocol.group import Phase
+from epos2_ros.protocol.outbox import Event
 
 READY_S = 60.0
 SETTLE_S = 15.0  # for the last record to be executed

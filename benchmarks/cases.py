@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from planners import from_ruckig, from_toppra
 
-from epos2_ros.bus.settings import axis_setup
+from epos2_ros.bus.settings import fit_axis
 from epos2_ros.config import AxisConfig, DriverConfig
 from epos2_ros.files import read_parameters, read_trajectory, share, shipped_parameters
 from epos2_ros.motion.fit import Fitter
@@ -84,7 +84,7 @@ class Case:
         return fit(self.fitter(tolerance_qc, smoothness), self.reference, self.start_qc)
 
     def fitter(self, tolerance_qc: float, smoothness: float = SMOOTHNESS) -> Fitter:
-        fits = [axis_setup(axis).fit for axis in self.configs]
+        fits = [fit_axis(axis) for axis in self.configs]
         return Fitter(fits, tolerance_qc, MAX_SEGMENT_MS, smoothness=smoothness)
 
 

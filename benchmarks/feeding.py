@@ -40,7 +40,7 @@ class Ledger:
     def __init__(self, made: Bench) -> None:
         self.arrived = 0
         self._sent: dict[int, deque[bytes]] = {drive.node_id: deque() for drive in made.drives}
-        take = made.group.feeder.next
+        take = made.feeder.next
 
         def noting_next(path_ms: float) -> Frame | None:
             frame = take(path_ms)
@@ -48,7 +48,7 @@ class Ledger:
                 self._sent[frame.can_id - RECORD].append(frame.data)
             return frame
 
-        made.group.feeder.next = noting_next
+        made.feeder.next = noting_next
 
     @property
     def on_the_way(self) -> int:

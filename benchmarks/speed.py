@@ -19,12 +19,11 @@ from planners import from_ruckig
 from rclpy.serialization import serialize_message
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from epos2_ros.bus.settings import axis_setup, group_settings
+from epos2_ros.bus.settings import machine_of
 from epos2_ros.config import DriverConfig
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.node.serialized import read_trajectory
-from epos2_ros.protocol.group import Group, Phase
-from epos2_ros.protocol.path import PathCommander
+from epos2_ros.protocol.group import Phase
 
 from .cases import EXAMPLES, Case, example, fit, planned
 from .table import Table
@@ -117,24 +116,24 @@ def latency(points: int) -> Row:
     serialized = serialize_message(message)
 
     def first_records() -> tuple[float, float, float, float]:
-        group = Group([axis_setup(axis) for axis in config.axes], group_settings(config))
-        commander = PathCommander(group, config)
-        for axis, start_qc in zip(group.axes, case.start_qc, strict=True):
-            axis.demand_qc = start_qc
-        group.phase = Phase.STANDING
+        machine = machine_of(config)
+        feeder = machine.interpolated.feeder
+        for drive, start_qc in zip(machine.drives, case.start_qc, strict=True):
+            drive.demand_qc = start_qc
+        machine.group.phase = Phase.STANDING
         begun_s = time.perf_counter()
         trajectory = read_trajectory(serialized)
         read_s = time.perf_counter()
-        reference = commander.place(trajectory, None, 0.0).join()
+        reference = machine.path.place(trajectory, None, 0.0).join()
         joined_s = time.perf_counter()
-        group.feeder.begin(reference)
+        feeder.begin(reference)
         served: set[int] = set()
         while len(served) < len(config.axes):
-            frame = group.feeder.next(0.0)
+            frame = feeder.next(0.0)
             assert frame is not None
             served.add(frame.can_id)
         first_s = time.perf_counter()
-        while group.feeder.next(0.0) is not None:
+        while feeder.next(0.0) is not None:
             pass
         filled_s = time.perf_counter()
         return first_s - begun_s, read_s - begun_s, joined_s - read_s, filled_s - first_s

@@ -44,7 +44,7 @@ class Recorded(Bench):
             lambda: WALL_OFFSET_US,
             preamble=(("configuration", to_plain(config)),),
         )
-        inputs.record(self.group, self.path, self.log, lambda: self.now_us)
+        inputs.record(self.machine, self.log, lambda: self.now_us)
         try:
             self.bring_up()
         except Epos2RosError as error:
@@ -54,7 +54,7 @@ class Recorded(Bench):
 
     def _flush(self) -> None:
         if self.log is not None:
-            for event in self.group.events:
+            for event in self.machine.out.events:
                 self.log.event(self.now_us, event.kind, event.text)
         super()._flush()
 

@@ -11,18 +11,18 @@ from concurrent.futures import Future
 
 import numpy as np
 
-from epos2_ros.bus.epos2 import Epos2Node
 from epos2_ros.bus.link import Network
-from epos2_ros.bus.settings import axis_setup, drive_settings, group_settings
+from epos2_ros.bus.nodes import node_of
+from epos2_ros.bus.sdo_jobs import perform
+from epos2_ros.bus.settings import machine_of
 from epos2_ros.bus.transmitter import Transmitter
 from epos2_ros.config import AxisConfig, DriverConfig
 from epos2_ros.errors import DriveError
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.protocol.clock import time_of_day
 from epos2_ros.protocol.frame import Frame
-from epos2_ros.protocol.group import Event, Group
 from epos2_ros.protocol.intake import SDO_RESPONSE, Rejects, intake_of
-from epos2_ros.protocol.path import PathCommander
+from epos2_ros.protocol.outbox import Event, SdoRequest
 from epos2_ros.sim.can_bus import SimulatedBus, TransmitQueueFull
 from epos2_ros.sim.epos2 import Epos2
 
@@ -60,17 +60,14 @@ class Bench:
         self.drives = list(drives or [Epos2(axis.node_id) for axis in self.config.axes])
         for drive in self.drives:
             self.bus.add(drive)
-        self.group = Group(
-            [axis_setup(axis) for axis in self.config.axes], group_settings(self.config)
-        )
-        self.path = PathCommander(self.group, self.config)
+        self.machine = machine_of(self.config)
+        self.group, self.path = self.machine.group, self.machine.path
+        self.feeder = self.machine.interpolated.feeder
         self.rejects = Rejects()
-        self.intake = intake_of(self.group.axes, self.rejects)
+        self.intake = intake_of(self.machine.drives, self.rejects)
         self.transmitter = Transmitter(self._hand_over, self.config.bitrate, echoes=True)
         self.network = Network(self._send_service)
-        self.nodes = [
-            Epos2Node(self.network, drive_settings(axis, self.config)) for axis in self.config.axes
-        ]
+        self.nodes = [node_of(self.network, axis, self.config) for axis in self.config.axes]
         self.frames: list[tuple[float, Frame, bool]] = []  # all that was on the bus: time, echo
         self.events: list[Event] = []
         self._due_us = 0.0  # until when the bus runs on without the driver
@@ -86,13 +83,23 @@ class Bench:
 
     def bring_up(self) -> None:
         """As `Driver.configure`."""
-        for index, node in enumerate(self.nodes):
-            node.node.sdo.RESPONSE_TIMEOUT = 0.01  # a drive that is silent here stays silent
-            self.group.reconfigured(index, node.configure(), self.now_us)
+        for index in range(len(self.nodes)):
+            self.bring_up_drive(index)
         self.group.start_clock(self.now_us, time_of_day(1_700_000_000))
         self._flush()
-        if (producer := self.group.settings.sync_producer) is not None:
+        if self.config.sync_producer != "host":
+            producer = [axis.joint for axis in self.config.axes].index(self.config.sync_producer)
             self.nodes[producer].produce_sync(round(self.config.sync_period * 1e6))
+
+    def lost(self) -> list[int]:
+        """Places of the drives that are to be brought up anew."""
+        return [self.machine.drives.index(drive) for drive in self.group.lost()]
+
+    def bring_up_drive(self, index: int) -> None:
+        """Of one drive, also again."""
+        node = self.nodes[index]
+        node.node.sdo.RESPONSE_TIMEOUT = 0.01  # a drive that is silent here stays silent
+        self.group.reconfigured(self.machine.drives[index], node.configure(), self.now_us)
 
     def wait(self, answer: Future[None], seconds: float = 60.0) -> None:
         """Run until the answer is there, and raise what it raises."""
@@ -126,26 +133,31 @@ class Bench:
         """What a host that wakes up late has not heard yet."""
 
     def _step(self) -> None:
-        self.path.advance(self.now_us)
-        self.group.advance(self.now_us)
+        self.machine.advance(self.now_us)
         self._flush()
-        while self.group.clearing:
-            index = self.group.clearing.popleft()
-            self.nodes[index].clear_buffer()
-            self.group.buffer_cleared(index)
-        while self.group.reads.outbox:
-            index = self.group.reads.outbox.popleft()
-            try:
-                self.nodes[index].free_records()
-            except DriveError as error:
-                self.group.buffer_not_read(index, str(error))
+        while self.machine.out.requests:
+            self._perform(self.machine.out.requests.popleft())
+
+    def _perform(self, request: SdoRequest) -> None:
+        node = next(node.node for node in self.nodes if node.node.id == request.node_id)
+        values, error = (), ""
+        try:
+            values, _, _ = perform(node, request, lambda: self.now_us)
+        except DriveError as refusal:
+            error = str(refusal)
+        self.machine.out.answer(request.number, values, error)
 
     def _flush(self) -> None:
-        while self.group.outbox:
-            self._push(self.group.outbox.popleft())
+        out = self.machine.out
+        while out.frames:
+            self._push(out.frames.popleft())
         self.transmitter.pump(self.now_us)
-        self.events.extend(self.group.events)
-        self.group.events.clear()
+        self.events.extend(out.events)
+        out.events.clear()
+
+    def _push(self, frame: Frame) -> None:
+        self.intake.sending(frame)
+        self.transmitter.push(frame)
 
     def _push(self, frame: Frame) -> None:
         self.intake.sending(frame)
@@ -168,7 +180,7 @@ class Bench:
             self._due_us = min(end_us, self._deadline_us, self.now_us + 500)
             self.bus.run_until(self._due_us, self._on_frame)
             self._hear()
-            self.group.advance(self.now_us)
+            self.machine.advance(self.now_us)
             self._flush()
 
     def _on_frame(self, can_id: int, data: bytes, t_us: float, echo: bool) -> bool:
@@ -181,8 +193,8 @@ class Bench:
             self._answered = True
         accepted = echo or self.intake.accepts(frame)
         if accepted:
-            self.group.receive(frame, self.stamp_us(t_us), echo)
-        self.group.advance(self.now_us)
+            self.machine.receive(frame, self.stamp_us(t_us), echo)
+        self.machine.advance(self.now_us)
         self._flush()
         if accepted and not echo and can_id & 0x780 == SDO_RESPONSE:
             self.network.notify(can_id, bytearray(data), t_us / 1e6)
@@ -192,11 +204,11 @@ class Bench:
 def move_on(made: Bench) -> None:
     """From where the axes stand, to zero in two seconds."""
     here = [
-        unit.from_qc(float(axis.demand_qc or 0))
-        for unit, axis in zip(made.path._units, made.group.axes, strict=True)
+        unit.from_qc(float(drive.demand_qc or 0))
+        for unit, drive in zip(made.path._units, made.machine.drives, strict=True)
     ]
     there = Trajectory(
-        tuple(axis.joint for axis in made.group.axes),
+        tuple(drive.joint for drive in made.machine.drives),
         np.array([0.0, 2.0]),
         np.array([here, [0.0] * len(here)]),
     )

@@ -110,7 +110,7 @@ def test_a_clock_far_off_is_a_fault_and_is_set_anew():
     made.run(1.0)
     assert made.group.phase is Phase.FAULT
     assert made.group.reason == "joint_4 (node 4): its clock is off by +80.0 ms"
-    assert made.group.lost_axes() == [3]
+    assert made.lost() == [3]
     made.bring_up()
     made.wait(made.group.reset_fault())
     made.enable()

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from sim_host import Host, prompt_drive
 
-from epos2_ros.bus.epos2 import EPOS2
+from epos2_ros.bus.cia402_node import object_dictionary
 from epos2_ros.compare_config import CompareConfig
 from epos2_ros.motion.crossings import Path
 from epos2_ros.motion.units import AxisUnits
+from epos2_ros.protocol import epos2
 from epos2_ros.protocol.epos2_compare import CompareOutput, MarkerOutput
 from epos2_ros.sim.epos2 import Epos2
 
@@ -119,7 +120,7 @@ def test_the_marker_counter_wraps_and_what_was_overwritten_is_counted() -> None:
 
 
 def test_the_simulated_drive_has_the_objects_of_the_eds() -> None:
-    dictionary = EPOS2.object_dictionary()
+    dictionary = object_dictionary(epos2.FAMILY)
     simulated = Epos2(1).dictionary
     for index in (0x2074, 0x2079, 0x207A):
         for subindex, variable in dictionary[index].items():

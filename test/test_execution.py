@@ -12,7 +12,6 @@ from epos2_ros.bus.tracking import Tracking, tracked
 from epos2_ros.config import DriverConfig
 from epos2_ros.errors import MotionAborted, MotionStopped
 from epos2_ros.motion.trajectory import Trajectory
-from epos2_ros.motion.units import AxisUnits
 from epos2_ros.protocol.execution import Execution
 from epos2_ros.protocol.group import Phase
 from epos2_ros.sim.epos2 import Epos2
@@ -94,7 +93,7 @@ def test_another_one_takes_over_from_one_that_has_not_begun(bench):
 def waiting_for_the_end(bench: Bench) -> tuple[Execution, Execution]:
     """One whose end is committed, and one that waits for it."""
     first = submit(bench, 0.4, 1.0)
-    bench.run(5.0, lambda: bench.group.feeder.ending)
+    bench.run(5.0, lambda: bench.feeder.ending)
     return first, submit(bench, 0.8, 1.0)
 
 
@@ -140,8 +139,7 @@ def test_disabled(bench):
 
 
 def track(bench: Bench) -> Tracking:
-    units = [AxisUnits.of(axis) for axis in bench.config.axes]
-    return tracked(bench.group, bench.path, units, bench.config, bench.now_us)
+    return tracked(bench.machine, bench.config.axes, bench.config.state_rate, bench.now_us)
 
 
 def test_what_is_desired_is_what_is_measured(bench):
@@ -167,7 +165,7 @@ def test_what_is_desired_is_what_is_measured(bench):
 def test_a_blocked_axis_is_seen_although_it_does_not_report(bench):
     submit(bench, 1.0, 2.0)
     bench.run(0.6)
-    axis = bench.group.axes[0]
+    axis = bench.machine.drives[0]
     where, when = axis.position_qc, axis.sample_us
     for _ in range(40):
         bench.run(0.01)
@@ -184,8 +182,8 @@ def test_states_of_axes_that_rest_are_fresh_as_long_as_the_drives_are_heard(benc
     bench.run(3.0)
     now = track(bench)
     assert now.now_us - now.measured_us.min() < 150_000
-    assert now.now_us - bench.group.axes[0].sample_us > 2e6
-    bench.group.axes[0].heard_us -= 5e6  # silent since
+    assert now.now_us - bench.machine.drives[0].sample_us > 2e6
+    bench.machine.drives[0].heard_us -= 5e6  # silent since
     assert track(bench).now_us - track(bench).measured_us[0] > 2e6
 
 

@@ -99,7 +99,7 @@ def test_the_start_sequence_frame_by_frame():
     made.run(1.0, lambda: made.group.phase is Phase.MOVING)
 
     sent = [(t, f) for t, f, echo in made.frames if echo]
-    t_zero = made.group.start_us
+    t_zero = made.machine.path_time.start_us
     start = next(i for i, (t, f) in enumerate(sent) if t == t_zero)
     before = [f for _, f in sent[:start] if f.can_id != 0x77F]  # besides the host's heartbeat
 
@@ -165,16 +165,16 @@ def test_how_late_a_start_at_a_given_time_was_is_told(late_us):
     made.stamp_us = lambda t_us: t_us + ahead_us
     at_us = made.now_us + 437_000.0
     made.path.submit(there_and_back(), at_us, made.now_us)
-    assert made.group.start_error_us is None
+    assert made.machine.path_time.start_error_us is None
     made.wait(made.group.motion)
     began_us = made.drives[0].ip_start_us + 1000.0  # what the first record takes
     assert late_us <= began_us - at_us <= 2 * late_us + 100
-    assert made.group.start_error_us == pytest.approx(began_us + ahead_us - at_us)
+    assert made.machine.path_time.start_error_us == pytest.approx(began_us + ahead_us - at_us)
     error_us = began_us + ahead_us - at_us
     (text,) = [event.text for event in made.events if event.kind == "started"]
     assert text == f"6 axes started on one SYNC, {error_us:.0f} us after the time asked for"
     run_motion(made)
-    assert made.group.start_error_us is None  # as soon as possible is no given time
+    assert made.machine.path_time.start_error_us is None  # as soon as possible is no given time
 
 
 def test_no_drive_moves_when_one_does_not_become_active():
@@ -208,7 +208,7 @@ def test_buffers_hold_the_configured_time_and_never_too_few_or_too_many():
     made = bench()
     made.path.submit(there_and_back(6.0), None, made.now_us)
     made.wait(made.group.motion)
-    for axis, drive in zip(made.group.axes, made.drives, strict=True):
+    for axis, drive in zip(made.machine.interpolated.axes, made.drives, strict=True):
         level = np.array(drive.recorder.buffer_level)
         t_ms = np.array(drive.recorder.path_ms)
         assert level[t_ms < 5400].min() >= 2, axis
@@ -368,7 +368,7 @@ def test_a_restarted_drive_has_to_be_brought_up_again():
     made.run(6.0, motion.done)
     with pytest.raises(MotionAborted, match=r"joint_2 \(node 2\)"):
         motion.result(timeout=0)
-    assert made.group.lost_axes() == [1]
+    assert made.lost() == [1]
 
 
 def test_drives_stop_by_themselves_when_the_host_dies():

@@ -88,9 +88,9 @@ def test_malformed_frames_change_nothing_and_are_counted(fuzz: int) -> None:
 
 def recover(made: Bench) -> None:
     """As `Driver.reset_fault`, then enabled."""
-    lost = made.group.lost_axes()
+    lost = made.lost()
     for index in lost:
-        made.group.reconfigured(index, made.nodes[index].configure(), made.now_us)
+        made.bring_up_drive(index)
     if lost:
         made.group.start_clock(made.now_us, bytes(6))
     made.wait(made.group.reset_fault(), 20.0)
@@ -151,19 +151,19 @@ def test_what_a_drive_sends_before_it_is_mapped_is_no_report() -> None:
     faults = b"\x08\x02", bytes([8]) * 8
     for data in faults:
         inject(made, Frame(0x181, data))
-    assert made.group.axes[0].statusword == 0
+    assert made.machine.drives[0].statusword == 0
     made.bring_up()
     made.enable()
     made.drives[0].power_off()
     made.drives[0].power_on(made.now_us)  # and what we have mapped is gone
     made.run(0.3)
-    before = made.group.axes[0].statusword
+    before = made.machine.drives[0].statusword
     for data in faults:
         inject(made, Frame(0x181, data))
-    assert made.group.axes[0].statusword == before
+    assert made.machine.drives[0].statusword == before
     assert not made.rejects.counts
     recover(made)
     inject(made, Frame(0x181, b"\x08\x02"))
     assert made.rejects.counts == {"PDO of wrong length": 1}
     inject(made, Frame(0x181, b"\x08\x02" + bytes(2)))
-    assert made.group.axes[0].statusword == 0x0208
+    assert made.machine.drives[0].statusword == 0x0208

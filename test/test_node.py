@@ -43,7 +43,7 @@ from epos2_ros.files import read_parameters
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.node import messages
 from epos2_ros.node.driver import EXECUTOR_THREADS, DriverNode, main, spin
-from epos2_ros.protocol.group import Event
+from epos2_ros.protocol.outbox import Event
 from epos2_ros.protocol.outputs import OutputEvent, Tally
 
 WAIT_S = 20.0  # for something that must happen; reached only when it does not

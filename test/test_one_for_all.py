@@ -130,7 +130,7 @@ def test_a_power_cycle_is_named_at_once(off_us):
     assert halted_us(made, but=2) - cut_us <= 500e3
     assert said in reason_of(made)
     assert made.now_us - cut_us <= max(off_us, 500e3) + 1e6  # the ramp; nobody waits for it
-    assert made.group.lost_axes() == [1]
+    assert made.lost() == [1]
 
 
 @pytest.mark.parametrize("delay_us", [60e3, 100e3, 130e3])

@@ -68,7 +68,7 @@ def test_replacement_without_a_stop(buffer_time):
     bench.path.submit(move([0.0, 3.0], [[0.0, 0.0], [1.0, -1.0]]), None, bench.now_us)
     bench.run(1.4)
     sent_us = bench.now_us
-    away_ms = (sent_us - bench.group.start_us) / 1000
+    away_ms = (sent_us - bench.machine.path_time.start_us) / 1000
     new = move([1.6, 3.6], [[0.8, -0.2], [0.0, 0.5]])
     bench.path.submit(new, None, sent_us)
     run_to_end(bench)
@@ -140,7 +140,7 @@ def test_a_stamp_in_the_past_joins_where_the_trajectory_would_be():
     run_to_end(bench)
     path = executed(bench)
     assert_smooth(path)
-    start_ms = (bench.group.start_us - (submitted - 600_000)) / 1000
+    start_ms = (bench.machine.path_time.start_us - (submitted - 600_000)) / 1000
     t = (np.arange(len(path)) + start_ms) / 3000
     wanted = (10 * t**3 - 15 * t**4 + 6 * t**5)[:, None] * [1.0, -0.5]
     late = t > 0.6  # joined by then

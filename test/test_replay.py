@@ -228,7 +228,7 @@ def test_a_bring_up_that_fails_is_told_to_the_last_access(tmp_path, replay):
 def test_a_run_from_bring_up_to_the_end_in_words(tmp_path, replay):
     made = moving(tmp_path / "run.asc")
     made.wait(made.group.motion)
-    started_s = made.group.start_us / 1e6
+    started_s = made.machine.path_time.start_us / 1e6
     made.wait(made.group.disable())
     made.close()
     said = replay(tmp_path / "run.asc")

@@ -15,18 +15,19 @@ import pytest
 from canopen.sdo.exceptions import SdoError
 from simulated_time import Bench, axes, move_on
 
-from epos2_ros.bus.epos2 import EPOS2
+from epos2_ros.bus.cia402_node import object_dictionary
 from epos2_ros.bus.link import Network
 from epos2_ros.bus.sdo_client import RemoteNode
 from epos2_ros.config import DriverConfig
 from epos2_ros.errors import DriveError
+from epos2_ros.protocol import epos2
 from epos2_ros.protocol.frame import Frame
 from epos2_ros.sim.epos2 import Epos2
 from epos2_ros.sim.sdo import SdoServer
 
 # Index, subindex, bytes: objects of the EDS that can be read and written.
 OBJECTS = [(0x6065, 0, 4), (0x6081, 0, 4), (0x6083, 0, 4), (0x6084, 0, 4), (0x6085, 0, 4)]
-DICTIONARY = EPOS2.object_dictionary()
+DICTIONARY = object_dictionary(epos2.FAMILY)
 Answers = Callable[[bytes, bytes | None], list[bytes]]  # what comes back for request and answer
 
 

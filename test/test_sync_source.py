@@ -191,7 +191,7 @@ def test_a_start_at_a_given_time_is_on_the_nearest_sync(source):
         one.wait(one.group.motion)
         late_us = one.drives[0].ip_start_us + 1000.0 - at_us  # the first record takes 1 ms
         assert abs(late_us) <= 50_000 + 1_000
-        assert one.group.start_error_us == pytest.approx(late_us, abs=200)
+        assert one.machine.path_time.start_error_us == pytest.approx(late_us, abs=200)
 
 
 def test_feeding_goes_by_the_masters_clock():
@@ -205,10 +205,12 @@ def test_feeding_goes_by_the_masters_clock():
     motion = one.group.motion
     assert motion is not None
     one.run(119.0, motion.done)
-    path_ms = one.group.path_ms(one.now_us)
+    path_ms = one.machine.path_time.at_ms(one.now_us)
     assert path_ms == pytest.approx(drifting[0].recorder.path_ms[-1], abs=1.5)
-    assert one.group.start_us is not None
-    assert path_ms - (one.now_us - one.group.start_us) / 1000 == pytest.approx(47, abs=2)
+    assert one.machine.path_time.start_us is not None
+    assert path_ms - (one.now_us - one.machine.path_time.start_us) / 1000 == pytest.approx(
+        47, abs=2
+    )
     one.wait(motion)
 
 
@@ -297,7 +299,7 @@ def test_without_the_sync_of_the_drive_all_stop_and_come_back(source):
         one.wait(one.group.motion)
     one.run(2.0)
     assert one.group.phase is Phase.FAULT
-    assert one.group.lost_axes() == [1]
+    assert one.lost() == [1]
     with pytest.raises(DriveError):
         one.wait(one.group.enable())
     one.bring_up()

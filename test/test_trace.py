@@ -9,12 +9,12 @@ from simulated_time import Bench, axes
 from epos2_ros.config import DriverConfig
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.protocol import epos2
-from epos2_ros.protocol.profile_axes import ProfileAxes
 from epos2_ros.protocol.trace import Trace
 
 WALK = [
     "switch on disabled → ready to switch on (statusword",
-    "ready to switch on → operation enabled (statusword",
+    "ready to switch on → switched on (statusword",  # while the power stage measures the motor
+    "switched on → operation enabled (statusword",
     "operation enabled → ready to switch on (statusword",
 ]
 
@@ -22,7 +22,7 @@ WALK = [
 def test_a_run_from_off_to_off_is_told_step_by_step() -> None:
     bench = Bench(DriverConfig(axes=axes(2)))
     lines: list[str] = []
-    trace = Trace(bench.group, ProfileAxes([]), lines.append)
+    trace = Trace(bench.machine, lines.append)
 
     def run(seconds: float) -> None:
         bench.run(seconds, lambda: bool(trace.watch()))
@@ -43,7 +43,7 @@ def test_a_run_from_off_to_off_is_told_step_by_step() -> None:
     bench.group.disable()
     run(1.0)
 
-    for axis in bench.group.axes:
+    for axis in bench.machine.drives:
         walked = [line for line in lines if line.startswith(f"{axis}: ")]
         assert len(walked) == len(WALK)
         assert all(step in line for step, line in zip(WALK, walked, strict=True))

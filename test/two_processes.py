@@ -20,7 +20,7 @@ from epos2_ros.bus.driver import Driver
 from epos2_ros.bus.snapshot import Snapshot
 from epos2_ros.config import AxisConfig, DriverConfig
 from epos2_ros.motion.trajectory import Trajectory
-from epos2_ros.protocol.group import Event
+from epos2_ros.protocol.outbox import Event
 
 ROOT = Path(__file__).parents[1]
 LEAD = 0.02  # metres of the gantry per motor turn of 2000 qc

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from importlib import resources
 from typing import NamedTuple
 
@@ -20,7 +19,8 @@ from epos2_ros.bus.sdo_client import RemoteNode
 from epos2_ros.errors import DriveError
 from epos2_ros.protocol import cia402, epos2
 from epos2_ros.protocol.cia402 import State
-from epos2_ros.protocol.epos2 import PdoMapping
+from epos2_ros.protocol.family import Family
+from epos2_ros.protocol.pdo import PdoMapping
 from epos2_ros.protocol.timekeeper import HOST_NODE_ID
 
 FIRST_ATTEMPTS = 8  # of 0.3 s each, to get an answer from a drive that may be starting up
@@ -45,21 +45,11 @@ RECEIVE = Direction("RPDO", 0x1400, 0x1600)
 TRANSMIT = Direction("TPDO", 0x1800, 0x1A00)
 
 
-@dataclass(frozen=True)
-class Family:
-    """What tells one maker's drives from another's."""
 
-    name: str  # with its article
-    maker: str
-    vendor_id: int
-    eds: str  # in epos2_ros/eds
-    rpdos: tuple[PdoMapping, ...]
-    tpdos: tuple[PdoMapping, ...]
-
-    def object_dictionary(self) -> canopen.ObjectDictionary:
-        """From the package's EDS."""
-        with resources.as_file(resources.files("epos2_ros") / "eds" / self.eds) as path:
-            return canopen.import_od(str(path))
+def object_dictionary(family: Family) -> canopen.ObjectDictionary:
+    """From the package's EDS."""
+    with resources.as_file(resources.files("epos2_ros") / "eds" / family.eds) as path:
+        return canopen.import_od(str(path))
 
 
 class Cia402Node:
@@ -68,7 +58,7 @@ class Cia402Node:
     def __init__(self, network: Network, family: Family, joint: str, node_id: int) -> None:
         self.joint = joint
         self._node_id = node_id
-        self.node = RemoteNode(node_id, family.object_dictionary())
+        self.node = RemoteNode(node_id, object_dictionary(family))
         self.objects = SdoAccess(self.node, joint, str(self))
         self._family = family
         network[node_id] = self.node
@@ -164,7 +154,7 @@ class Cia402Node:
         if not self.objects.read(ERROR_FIELD):
             return ", with no error in its history (0x1003)"
         code = self.objects.read(ERROR_FIELD, 1) & 0xFFFF
-        return f": {epos2.describe_emergency(code)}"
+        return f": {self._family.describe_emergency(code)}"
 
     def _map(
         self, direction: Direction, mapping: PdoMapping, inhibit_us: int | None = None

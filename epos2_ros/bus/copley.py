@@ -4,21 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from epos2_ros.bus.cia402_node import Cia402Node, Family
+from epos2_ros.bus.cia402_node import Cia402Node
 from epos2_ros.bus.link import Network
 from epos2_ros.config import AxisConfig
-from epos2_ros.errors import ConfigurationError
+from epos2_ros.errors import ConfigurationError, DriveError
 from epos2_ros.motion.units import UINT32_MAX, AxisUnits, position_limits
 from epos2_ros.protocol import copley, epos2
-
-COPLEY = Family(
-    "a Copley drive",
-    "Copley",
-    copley.VENDOR_ID,
-    "copley.eds",
-    copley.RPDO_MAPPINGS,
-    copley.TPDO_MAPPINGS,
-)
 
 
 @dataclass(frozen=True)
@@ -59,12 +50,16 @@ class CopleyNode:
 
     def __init__(self, network: Network, settings: CopleySettings) -> None:
         self.settings = settings
-        self._access = Cia402Node(network, COPLEY, settings.joint, settings.node_id)
+        self._access = Cia402Node(network, copley.FAMILY, settings.joint, settings.node_id)
         self.node = self._access.node
 
     def configure(self) -> int:
         """Check identity, configure, go operational; the statusword the drive then has."""
         return self._access.configure(self._write_objects)
+
+    def produce_sync(self, period_us: int) -> None:
+        """DriveError: sync.producer is to be the host or an EPOS2."""
+        raise DriveError(f"{self._access} is not asked to send SYNC: set sync.producer to host")
 
     def _write_objects(self) -> None:
         s, write = self.settings, self._access.objects.write
@@ -73,5 +68,5 @@ class CopleyNode:
         write(epos2.SOFTWARE_POSITION_LIMIT, s.min_position_qc, 1)
         write(epos2.SOFTWARE_POSITION_LIMIT, s.max_position_qc, 2)
         if s.stop_deceleration_counts_s2 is not None:
-            stop = copley.acceleration_object(s.stop_deceleration_counts_s2)
+            stop = max(1, round(s.stop_deceleration_counts_s2 / copley.ACCELERATION_UNIT_COUNTS_S2))
             write(epos2.QUICK_STOP_DECELERATION, stop)

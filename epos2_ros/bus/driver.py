@@ -7,26 +7,24 @@ jobs. What blocks (SDO) runs on a worker, so that feeding never waits for an ans
 from __future__ import annotations
 
 import logging
-import math
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures import TimeoutError as FutureTimeoutError
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
-from epos2_ros.bus.copley_axes import CopleyAxes
-from epos2_ros.bus.epos2 import Epos2Node
 from epos2_ros.bus.health import Health
 from epos2_ros.bus.link import Link
+from epos2_ros.bus.nodes import DriveNode, check, node_of
 from epos2_ros.bus.output_service import OutputService
 from epos2_ros.bus.predictor import Predictor
 from epos2_ros.bus.reactor import Reactor
-from epos2_ros.bus.settings import axis_setup, drive_settings, group_settings
+from epos2_ros.bus.sdo_jobs import perform
+from epos2_ros.bus.settings import machine_of
 from epos2_ros.bus.simulation import Simulation
-from epos2_ros.bus.snapshot import AxisSnapshot, OutputSnapshot, Snapshot
+from epos2_ros.bus.snapshot import OutputSnapshot, Snapshot, axis_snapshots
 from epos2_ros.bus.supervisor import Supervisor
 from epos2_ros.bus.timestamps import now_us, wall_offset_us
 from epos2_ros.bus.tracking import Tracking, tracked
@@ -45,17 +43,15 @@ from epos2_ros.errors import (
 from epos2_ros.motion.move import refuse_trajectory
 from epos2_ros.motion.reference import Reference
 from epos2_ros.motion.trajectory import Trajectory
-from epos2_ros.motion.units import AxisUnits
 from epos2_ros.protocol.clock import time_of_day
-from epos2_ros.protocol.epos2 import BUFFER_SIZE
+from epos2_ros.protocol.drive import Drive
 from epos2_ros.protocol.execution import Execution
 from epos2_ros.protocol.frame import Frame
-from epos2_ros.protocol.group import IN_MOTION, Event, Group, Phase
-from epos2_ros.protocol.intake import Rejects, Reporter, intake_of
+from epos2_ros.protocol.group import Phase
+from epos2_ros.protocol.intake import Rejects, intake_of
+from epos2_ros.protocol.outbox import Event, SdoRequest
 from epos2_ros.protocol.outputs import OutputEvent
-from epos2_ros.protocol.path import PathCommander, Placement, refuse_ended
-from epos2_ros.protocol.profile_axes import IN_MOTION as IN_PROFILE_MOTION
-from epos2_ros.protocol.profile_axes import Phase as ProfilePhase
+from epos2_ros.protocol.path import Placement, refuse_ended
 from epos2_ros.protocol.timekeeper import HOST_NODE_ID, Timekeeper
 from epos2_ros.protocol.trace import Trace
 
@@ -75,34 +71,27 @@ class Driver:
         on_output: Callable[[OutputEvent], None] = lambda event: None,
         on_trace: Callable[[str], None] | None = None,
     ) -> None:
-        self._all_axes = config.axes
-        # The group moves in interpolated position mode; the others beside it.
-        config = replace(config, axes=tuple(a for a in config.axes if a.drive == "epos2"))
+        for axis in config.axes:
+            check(axis, config)
         self._config = config
         self._on_event = on_event
         self._supervisor = Supervisor(self._fail)
         self._reactor = Reactor(self._step, partial(self._supervisor.broke, "the driver's thread"))
-        self._units = [AxisUnits.of(axis) for axis in config.axes]
         self._simulation: Simulation | None = None
         self._link: Link | None = None
         self._log: LogWriter | None = None
-        self._nodes: list[Epos2Node] = []
+        self._nodes: dict[Drive, DriveNode] = {}
         self._brought_up = False  # all drives, since the link was opened
         self._doubtful = False  # something of ours has raised: what it knows may be half of it
         self._stops = 0  # how often motions were ended on request, those not yet begun included
-        settings = group_settings(config)
-        self._producer = settings.sync_producer
-        self._group = Group([axis_setup(axis) for axis in config.axes], settings)
-        self._path = PathCommander(self._group, config)
+        self._machine = machine_of(config)
+        self._group, self._path = self._machine.group, self._machine.path
         self._worker = Worker(partial(self._supervisor.broke, "SDO"))
         self._announcer = ThreadPoolExecutor(1, thread_name_prefix="events")
-        copley = [axis for axis in self._all_axes if axis.drive == "copley"]
-        self._copley = CopleyAxes(copley, self._worker, self._reactor)
         self._outputs = OutputService(
-            self._all_axes,
+            config.axes,
             config.outputs,
-            self._group,
-            self._copley.protocol,
+            self._machine,
             self._worker,
             self._reactor,
             partial(self._announce, on_output),
@@ -111,15 +100,10 @@ class Driver:
         self._trace: Trace | None = None
         if on_trace is not None:  # every step, for whoever looks for what is wrong
             listener = on_trace
-            self._trace = Trace(
-                self._group,
-                self._copley.protocol,
-                lambda line: self._announce(listener, line),
-            )
+            self._trace = Trace(self._machine, lambda line: self._announce(listener, line))
         self._predictor = Predictor(
-            [axis.joint for axis in self._all_axes],
-            self._group,
-            self._copley.protocol,
+            [axis.joint for axis in config.axes],
+            self._machine,
             self._outputs.protocol,
             self._reactor,
             self._warn,
@@ -142,11 +126,7 @@ class Driver:
             raise
 
     def _configure(self) -> None:
-        for axis in self._all_axes:
-            if axis.drive not in ("epos2", "copley"):
-                raise ConfigurationError(
-                    f"axes.{axis.joint}.drive is {axis.drive!r}; it must be epos2 or copley"
-                )
+        for axis in self._config.axes:
             if axis.node_id == HOST_NODE_ID:
                 raise ConfigurationError(
                     f"axes.{axis.joint}.node_id is {HOST_NODE_ID}, which the host's heartbeat "
@@ -157,77 +137,65 @@ class Driver:
                     f"axes.{axis.joint}.homing is given, but homing is not offered yet; leave it "
                     "out, and home the drive with its maker's tool"
                 )
-        shortest_s = Timekeeper.shortest_period_us(len(self._config.axes)) / 1e6
-        if self._producer is not None and self._config.sync_period < shortest_s:
+        answering, producer = len(self._machine.drives), self._machine.time.producer
+        shortest_s = Timekeeper.shortest_period_us(answering) / 1e6
+        if producer is not None and self._config.sync_period < shortest_s:
             raise ConfigurationError(
                 f"sync.period is {self._config.sync_period:g} s; with SYNC from a drive "
-                f"(sync.producer) {len(self._config.axes)} axes need at least {shortest_s:g} s"
+                f"(sync.producer) {answering} axes need at least {shortest_s:g} s"
             )
         if self._config.log_file is not None:
             self._open_log(Path(self._config.log_file).expanduser())
         if self._config.simulate:
-            self._simulation = Simulation(self._config, self._copley.configs)
+            self._simulation = Simulation(self._config)
         self._reactor.start()
         self._open()
-        self._bring_up(range(len(self._nodes)), range(len(self._copley.nodes)))
+        self._bring_up(self._machine.drives)
 
     def _open_log(self, file: Path) -> None:
-        config = replace(self._config, axes=self._all_axes)
+        config = self._config
         size_bytes = round(config.log_size * 1e6)
         preamble = (("configuration", to_plain(config)),)
         self._log = LogWriter(file, size_bytes, now_us(), wall_offset_us, self._warn, preamble)
-        inputs.record(self._group, self._path, self._log, now_us)
+        inputs.record(self._machine, self._log, now_us)
 
     def _open(self) -> None:
         config = self._config
         self._brought_up = self._doubtful = False
-        axes: list[Reporter] = [*self._group.axes, *self._copley.protocol.axes]
         self._link = Link(
             config.interface,
             config.channel,
             config.bitrate,
-            intake_of(axes, self._rejects),
+            intake_of(self._machine.drives, self._rejects),
             self._on_frame,
             self._group.fail,
             self._on_failure,
             self._reactor.post,
             self._on_other,
         )
-        self._nodes = [
-            Epos2Node(self._link.network, drive_settings(axis, config)) for axis in config.axes
-        ]
-        self._copley.open(self._link.network)
-        nodes = {node.settings.joint: node.node for node in self._nodes}
-        nodes |= {node.settings.joint: node.node for node in self._copley.nodes}
-        self._outputs.open(nodes)
+        network = self._link.network
+        self._nodes = {
+            drive: node_of(network, axis, config)
+            for drive, axis in zip(self._machine.drives, config.axes, strict=True)
+        }
+        self._outputs.open({drive.joint: node.node for drive, node in self._nodes.items()})
 
-    def _bring_up(self, indices: Iterable[int], copley: Iterable[int]) -> None:
-        for index in indices:
-            self._worker.run(partial(self._bring_up_epos2, index))
-        for index in copley:
-            self._worker.run(partial(self._bring_up_copley, index))
-        self._reactor.call(self._start_clock)
+    def _bring_up(self, drives: Iterable[Drive]) -> None:
+        for drive in drives:
+            self._worker.run(partial(self._bring_up_drive, drive))
+        self._reactor.call(lambda: self._group.start_clock(now_us(), time_of_day(time.time())))
         self._produce_sync(round(self._config.sync_period * 1e6))
         self._brought_up = True
 
     def _produce_sync(self, period_us: int) -> None:
-        if self._producer is not None:
-            node = self._nodes[self._producer]
+        if (producer := self._machine.time.producer) is not None:
+            node = self._nodes[producer]
             self._worker.run(lambda: node.produce_sync(period_us))
 
-    def _start_clock(self) -> None:
-        now = now_us()
-        self._group.start_clock(now, time_of_day(time.time()))
-        self._copley.protocol.start_watch(now)
-
-    def _bring_up_epos2(self, index: int) -> None:
-        statusword = self._nodes[index].configure()
-        self._reactor.call(lambda: self._group.reconfigured(index, statusword, now_us()))
-        self._outputs.arm(self._nodes[index].settings.joint)
-
-    def _bring_up_copley(self, index: int) -> None:
-        self._copley.bring_up(index)
-        self._outputs.arm(self._copley.configs[index].joint)
+    def _bring_up_drive(self, drive: Drive) -> None:
+        statusword = self._nodes[drive].configure()
+        self._reactor.call(lambda: self._group.reconfigured(drive, statusword, now_us()))
+        self._outputs.arm(drive.joint)
 
     def close(self) -> None:
         """Close the bus. Drives that are still enabled stop on the host's missing heartbeat."""
@@ -251,19 +219,16 @@ class Driver:
 
     def _switch_off(self) -> None:
         """Nothing is left enabled behind a closed bus: axes that still are stop at once."""
-        group, profile = self._group, self._copley.protocol
+        group = self._group
         if self._reactor.call(lambda: group.phase is not Phase.DISABLED):
             self._wait_for("quick stop", group.quick_stop)
             self._wait_for("disable", group.disable)
-        if self._reactor.call(lambda: profile.phase is not ProfilePhase.DISABLED):
-            self._wait_for("quick stop", profile.quick_stop)
-            self._wait_for("disable", profile.disable)
 
     # ------------------------------------------------------------------ requests
 
     def enable(self) -> None:
         """Every axis to "operation enabled", holding. DriveError says which axis is where."""
-        self._wait_for("enable", self._group.enable, self._copley.protocol.enable)
+        self._wait_for("enable", self._group.enable)
 
     def disable(self) -> None:
         """Stop on the path, then switch every axis off; what has not begun does not begin.
@@ -271,31 +236,28 @@ class Driver:
         Axes that don't come to rest in time on their path are halted.
         """
         self._stops += 1
-        profile = self._copley.protocol
         off = self._reactor.call(self._path.disable)
-        self._wait_for("halt", profile.halt)
         try:
             off.result(REQUEST_TIMEOUT_S)
         except FutureTimeoutError:
             self._reactor.call(self._group.halt)
-            self._wait(off, "disable")
-        self._wait_for("disable", profile.disable)
+        self._wait(off, "disable")
 
     @property
     def trajectory_axes(self) -> tuple[AxisConfig, ...]:
         """Those that follow trajectories."""
-        return self._config.axes
+        return self._path.axes
 
     def check(self, trajectory: Trajectory) -> None:
         """TrajectoryError for what can't be meant: its joints, or an end in the past."""
-        refuse_trajectory(self._copley.configs, trajectory.joint_names)
-        joints = [axis.joint for axis in self._config.axes]
+        refuse_trajectory(self._machine.movers, trajectory.joint_names)
+        joints = [axis.joint for axis in self._path.axes]
         trajectory.axes(joints, self._config.allow_partial_joints_goal)
         refuse_ended(trajectory, _start_us(trajectory), now_us())
 
     def submit(self, trajectory: Trajectory) -> Execution | None:
         """Run a trajectory, or stop on the path if it has no points. TrajectoryError: refused."""
-        refuse_trajectory(self._copley.configs, trajectory.joint_names)
+        refuse_trajectory(self._machine.movers, trajectory.joint_names)
         if not len(trajectory.times_s):
             self._reactor.call(self._stop_path)
             return None
@@ -322,7 +284,7 @@ class Driver:
     def track(self) -> Tracking:
         """What the axes that follow trajectories are to do, and do."""
         return self._reactor.call(
-            lambda: tracked(self._group, self._path, self._units, self._config, now_us())
+            lambda: tracked(self._machine, self._path.axes, self._config.state_rate, now_us())
         )
 
     def move_to(self, targets: Mapping[str, float], duration_s: float = 0.0) -> None:
@@ -330,7 +292,7 @@ class Driver:
 
         Returns when they have left. TrajectoryError: refused.
         """
-        self._reactor.call(lambda: self._move_to(targets, duration_s))
+        self._reactor.call(lambda: self._machine.move_to(targets, duration_s))
 
     def set_positions(self, output: str, positions: Sequence[float]) -> None:
         """A series gets other positions [unit]; ConfigurationError if it can't."""
@@ -361,31 +323,27 @@ class Driver:
     def halt(self) -> None:
         """Each axis stops at once on its own ramp, off the path, and holds."""
         self._stops += 1
-        self._wait_for("halt", self._group.halt, self._copley.protocol.halt)
+        self._wait_for("halt", self._group.halt)
 
     def quick_stop(self) -> None:
         """Each axis stops on its quick stop ramp and leaves "operation enabled"."""
         self._stops += 1
-        stops = self._group.quick_stop, self._copley.protocol.quick_stop
-        self._wait_for("quick stop", *stops)
+        self._wait_for("quick stop", self._group.quick_stop)
 
     def reset_fault(self) -> None:
         """Reopen a bus that failed, bring restarted or lost drives up again, reset every fault.
 
         After an internal error all begins anew. The axes stay off.
         """
-        lost = self._reactor.call(self._group.lost_axes)
-        lost_copley = self._reactor.call(self._copley.protocol.lost_axes)
+        lost: Sequence[Drive] = self._reactor.call(self._group.lost)
         sound = self._link is not None and not self._link.failed and self._brought_up
         if self._link is not None and (not sound or self._doubtful):
             self._link.close()
             self._open()
-            lost = list(range(len(self._nodes)))
-            lost_copley = list(range(len(self._copley.nodes)))
-        if lost or lost_copley:
-            self._bring_up(lost, lost_copley)
-        resets = self._group.reset_fault, self._copley.protocol.reset_fault
-        self._wait_for("reset fault", *resets)
+            lost = self._machine.drives
+        if lost:
+            self._bring_up(lost)
+        self._wait_for("reset fault", self._group.reset_fault)
 
     def snapshot(self) -> Snapshot:
         """Everything the topics show."""
@@ -394,19 +352,13 @@ class Driver:
     # ------------------------------------------------------------------ inside
 
     def _snapshot(self) -> Snapshot:
-        path_ms = self._group.path_ms(now_us())
-        if self._group.phase not in IN_MOTION:
-            path_ms = math.inf
         link = self._link
         health = link.health if link else Health()
-        axes = [self._axis_snapshot(index, path_ms) for index in range(len(self._units))]
-        by_joint = {axis.joint: axis for axis in [*axes, *self._copley_snapshots()]}
-        state, reason = self._state()
         return Snapshot(
-            axes=tuple(by_joint[axis.joint] for axis in self._all_axes),
+            axes=axis_snapshots(self._machine, now_us(), link is None or link.failed),
             outputs=self._output_snapshots(),
-            state=state,
-            reason=reason,
+            state=self._group.phase.value,
+            reason=self._group.reason,
             bus_load=link.load if link else 0.0,
             sync_count=self._group.time.sync_count,
             sync_time_source=self._sync_time_source(),
@@ -416,7 +368,7 @@ class Driver:
             bus_state=health.state.value,
             transmit_errors=health.transmit_errors,
             receive_errors=health.receive_errors,
-            start_error_us=self._group.start_error_us,
+            start_error_us=self._machine.path_time.start_error_us,
             simulated=self._config.simulate,
             rejected=dict(self._rejects.counts),
             internal_errors=self._supervisor.mistakes,
@@ -425,53 +377,12 @@ class Driver:
     def _sync_time_source(self) -> str:
         if self._link is None:
             return ""
-        if self._producer is None:
+        if self._machine.time.produces:
             return self._link.time_source
         return f"received from {self._config.sync_producer}, {self._link.clock.source}"
 
-    def _axis_snapshot(self, index: int, path_ms: float | None) -> AxisSnapshot:
-        axis, units, clock = self._group.axes[index], self._units[index], self._group.time.clock
-        nan = math.nan
-        known = axis.position_qc is not None
-        position_qc = float(axis.position_qc or 0)
-        return AxisSnapshot(
-            joint=axis.joint,
-            node_id=axis.node_id,
-            state=axis.state.value,
-            position=units.from_qc(position_qc) if known else nan,
-            velocity=units.from_velocity_units(float(axis.velocity)) if known else nan,
-            effort=nan if axis.current_ma is None else axis.current_ma / 1000,
-            stamp_us=axis.measured_us(1e6 / self._config.state_rate),
-            used=axis.account.level(path_ms),
-            free=BUFFER_SIZE - axis.account.level(path_ms),
-            size=BUFFER_SIZE,
-            buffered_ms=max(0.0, axis.account.ahead_ms(path_ms)),
-            status_word=axis.buffer_status,
-            fault=axis.trouble(),
-            following_error_qc=axis.following_error_qc,
-            clock_offset_us=float(clock.offset_us[index]),
-            clock_drift_ppm=1e6 * float(clock.drift[index]),
-            executed_qc=axis.demand_qc,
-            records_sent=axis.account.sent,
-            silent_s=self._silent_s(axis.heard_us, self._group.silent(index)),
-        )
-
-    def _silent_s(self, heard_us: float, silent: bool) -> float:
-        """How long a drive has not been heard, if that is longer than it may be."""
-        silent_us = now_us() - heard_us
-        lost = silent or self._link is None or self._link.failed
-        return silent_us / 1e6 if lost else 0.0
-
-    def _state(self) -> tuple[str, str]:
-        """Of all axes: what is wrong with some of them comes first."""
-        group, profile = self._group, self._copley.protocol
-        fine = group.phase is not Phase.FAULT
-        if fine and (profile.phase is ProfilePhase.FAULT or not group.axes):
-            return profile.phase.value, profile.reason
-        return group.phase.value, group.reason
-
     def _output_snapshots(self) -> tuple[OutputSnapshot, ...]:
-        outputs, node_ids = self._outputs.protocol, {a.joint: a.node_id for a in self._all_axes}
+        outputs, node_ids = self._outputs.protocol, {a.joint: a.node_id for a in self._config.axes}
         return tuple(
             OutputSnapshot(
                 output.name, output.joint, node_ids[output.joint], outputs.tally(output.name)
@@ -479,44 +390,8 @@ class Driver:
             for output in self._config.outputs
         )
 
-    def _copley_snapshots(self) -> list[AxisSnapshot]:
-        nan = math.nan
-        snapshots = []
-        profile = self._copley.protocol
-        for index, (axis, config) in enumerate(
-            zip(profile.axes, self._copley.configs, strict=True)
-        ):
-            units, known = AxisUnits.of(config), axis.position_qc is not None
-            snapshots.append(
-                AxisSnapshot(
-                    joint=axis.joint,
-                    node_id=axis.node_id,
-                    state=axis.state.value,
-                    position=units.from_qc(float(axis.position_qc or 0)) if known else nan,
-                    velocity=units.from_qc_s(axis.velocity_qc_s) if known else nan,
-                    effort=nan,
-                    stamp_us=axis.sample_us,
-                    used=0,
-                    free=0,
-                    size=0,
-                    buffered_ms=0.0,
-                    status_word=0,
-                    fault=axis.trouble,
-                    following_error_qc=None,
-                    clock_offset_us=None,
-                    clock_drift_ppm=None,
-                    executed_qc=axis.position_qc,
-                    records_sent=0,
-                    silent_s=self._silent_s(axis.heard_us, profile.silent(index)),
-                )
-            )
-        return snapshots
-
     def _standing(self) -> bool:
-        return (
-            self._group.phase in (Phase.DISABLED, Phase.STANDING, Phase.FAULT)
-            and self._copley.protocol.phase not in IN_PROFILE_MOTION
-        )
+        return self._group.phase in (Phase.DISABLED, Phase.STANDING, Phase.FAULT)
 
     def _wait_for(self, what: str, *requests: Callable[[], Future[None]]) -> None:
         """Make the requests, then wait for all of them."""
@@ -532,8 +407,7 @@ class Driver:
 
     def _on_frame(self, frame: Frame, t_us: float, echo: bool) -> None:
         t_us = round(t_us, 3)  # what a log holds: run over it again, all is the same
-        self._group.receive(frame, t_us, echo)
-        self._copley.receive(frame, t_us, echo)
+        self._machine.receive(frame, t_us, echo)
         self._outputs.receive(frame, t_us, echo)
         self._flush()
 
@@ -549,7 +423,6 @@ class Driver:
         self._doubtful = True
         try:
             self._group.fail(reason)
-            self._copley.protocol.fail(reason)
             self._flush()
         except Exception:
             # Not even that: the drives stop by themselves when the host is silent.
@@ -559,8 +432,6 @@ class Driver:
 
     def _on_failure(self, text: str) -> None:
         self._group.bus_failed(text)
-        if self._copley.protocol.axes:
-            self._copley.protocol.bus_failed(text)
 
     def _step(self) -> float:
         """What is due, in the reactor; when it is to be called next [host µs]."""
@@ -568,42 +439,36 @@ class Driver:
         if link is not None:
             link.pump()
         now = now_us()
-        self._path.advance(now)
-        self._group.advance(now)
-        beside_us = self._copley.advance(now)
+        self._machine.advance(now)
         self._outputs.flush()
         self._flush()
-        deadline = min(self._group.deadline_us, beside_us, now + IDLE_US)
+        deadline = min(self._machine.deadline_us, now + IDLE_US)
         return min(deadline, link.deadline_us) if link is not None else deadline
 
     def _flush(self) -> None:
         """Carry out what the axes ask for."""
-        self._stop_together()
+        out = self._machine.out
         self._predictor.watch(now_us())
-        while self._group.outbox and self._link is not None:
-            self._link.send(self._group.outbox.popleft())
-        while self._group.clearing:
-            self._worker.post(partial(self._clear_buffer, self._group.clearing.popleft()))
-        while self._group.reads.outbox:
-            self._worker.post(partial(self._ask_buffer, self._group.reads.outbox.popleft()))
-        while self._copley.protocol.outbox and self._link is not None:
-            self._link.send(self._copley.protocol.outbox.popleft())
+        while out.frames and self._link is not None:
+            self._link.send(out.frames.popleft())
+        while out.requests:
+            self._worker.post(partial(self._perform, out.requests.popleft()))
         while self._rejects.notices:
             self._warn(self._rejects.notices.popleft())
-        while self._group.events:
-            self._announce(self._on_event, self._group.events.popleft())
-        while self._copley.protocol.events:
-            self._announce(self._on_event, Event(*self._copley.protocol.events.popleft()))
+        while out.events:
+            self._announce(self._on_event, out.events.popleft())
         if self._trace is not None:
             self._trace.watch()
 
-    def _stop_together(self) -> None:
-        """One axis in trouble stops all, and at once."""
-        group, profile = self._group, self._copley.protocol
-        if group.phase in (Phase.HALTING, Phase.FAULT):
-            profile.halt(group.reason)
-        if profile.phase is ProfilePhase.FAULT and group.phase in IN_MOTION:
-            group.halt(profile.reason)
+    def _perform(self, request: SdoRequest) -> None:
+        node = next(n.node for n in self._nodes.values() if n.node.id == request.node_id)
+        values: Sequence[int] = ()
+        error = ""
+        try:
+            values, _, _ = perform(node, request, now_us)
+        except DriveError as refusal:
+            error = str(refusal)
+        self._reactor.post(lambda: self._machine.out.answer(request.number, values, error))
 
     def _warn(self, text: str) -> None:
         self._announce(self._on_event, Event("warning", text))
@@ -626,11 +491,6 @@ class Driver:
         elif self._log is not None:
             self._log.other(t_us, kind, can_id, data)
 
-    def _move_to(self, targets: Mapping[str, float], duration_s: float) -> None:
-        if self._group.phase is Phase.FAULT:  # one axis in trouble stops all
-            raise TrajectoryError(f"can't move: the drives are {self._group.describe_phase()}")
-        self._copley.move_to(targets, duration_s)
-
     def _cancel(self, execution: Execution, reason: str) -> None:
         self._path.cancel(execution, reason)
         self._predictor.watch(now_us())
@@ -640,8 +500,6 @@ class Driver:
     ) -> bool:
         if stops != self._stops:
             raise TrajectoryError("the axes were stopped while it was worked out")
-        if self._copley.protocol.phase is ProfilePhase.FAULT:
-            raise TrajectoryError(f"can't move: {self._copley.protocol.reason}")
         done = self._path.commit(placement, reference, execution)
         self._predictor.watch(now_us())
         return done
@@ -651,22 +509,6 @@ class Driver:
         motion = self._path.stop()
         self._predictor.watch(now_us())
         return motion
-
-    def _clear_buffer(self, index: int) -> None:
-        try:
-            self._nodes[index].clear_buffer()
-            error = ""
-        except DriveError as refusal:
-            error = str(refusal)
-        self._reactor.post(lambda: self._group.buffer_cleared(index, error))
-
-    def _ask_buffer(self, index: int) -> None:
-        """The group sees the answer on the bus."""
-        try:
-            self._nodes[index].free_records()
-        except DriveError as refusal:
-            error = str(refusal)
-            self._reactor.post(lambda: self._group.buffer_not_read(index, error))
 
 
 def _start_us(trajectory: Trajectory) -> float | None:

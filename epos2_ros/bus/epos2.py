@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from epos2_ros.bus.cia402_node import Cia402Node, Family
+from epos2_ros.bus.cia402_node import Cia402Node
 from epos2_ros.bus.link import Network
 from epos2_ros.errors import DriveError
 from epos2_ros.protocol import epos2
+from epos2_ros.protocol.family import Family
 
 BUFFER_STATUS_INHIBIT_US = 5_000  # the note's example: 5.0 ms
 _LIMITS = ("min_position", "max_position")
-EPOS2 = Family(
-    "an EPOS2", "maxon", epos2.VENDOR_ID, "epos2.eds", epos2.RPDO_MAPPINGS, epos2.TPDO_MAPPINGS
-)
 
 
 @dataclass(frozen=True)
@@ -40,10 +38,10 @@ def family_of(settings: Epos2Settings) -> Family:
     """With the PDOs of a clock master, or of a drive that follows one."""
     master = settings.clock_master
     if master is None:
-        return EPOS2
+        return epos2.FAMILY
     if master == settings.node_id:
-        return replace(EPOS2, tpdos=epos2.CLOCK_MASTER_TPDO_MAPPINGS)
-    return replace(EPOS2, rpdos=epos2.clock_slave_rpdo_mappings(master))
+        return replace(epos2.FAMILY, tpdos=epos2.CLOCK_MASTER_TPDO_MAPPINGS)
+    return replace(epos2.FAMILY, rpdos=epos2.clock_slave_rpdo_mappings(master))
 
 
 class Epos2Node:

@@ -19,10 +19,9 @@ from epos2_ros.compare_config import CompareConfig
 from epos2_ros.config import AxisConfig
 from epos2_ros.errors import DriveError
 from epos2_ros.protocol.frame import Frame
-from epos2_ros.protocol.group import Group
+from epos2_ros.protocol.machine import Machine
 from epos2_ros.protocol.outputs import OutputEvent, Outputs, SdoJob
 from epos2_ros.protocol.path_watch import PathWatch, ProfilePathWatch, RecordPathWatch
-from epos2_ros.protocol.profile_axes import ProfileAxes
 
 
 class OutputService:
@@ -32,17 +31,17 @@ class OutputService:
         self,
         axes: Sequence[AxisConfig],
         configs: Sequence[CompareConfig],
-        group: Group,
-        profile: ProfileAxes,
+        machine: Machine,
         worker: Worker,
         reactor: Reactor,
         on_event: Callable[[OutputEvent], None],
         on_notice: Callable[[str], None],
     ) -> None:
         watches: dict[str, PathWatch] = {
-            axis.joint: RecordPathWatch(group, index) for index, axis in enumerate(group.axes)
+            axis.drive.joint: RecordPathWatch(machine.group, axis)
+            for axis in machine.interpolated.axes
         }
-        watches |= {axis.joint: ProfilePathWatch(axis) for axis in profile.axes}
+        watches |= {drive.joint: ProfilePathWatch(drive) for drive in machine.profile.drives}
         self.protocol = Outputs(axes, configs, [watches[axis.joint] for axis in axes])
         self._joints = [axis.joint for axis in axes]
         self._nodes: list[canopen.RemoteNode] = []

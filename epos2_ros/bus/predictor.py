@@ -21,11 +21,9 @@ from epos2_ros.motion.foresight import Foresight
 from epos2_ros.motion.reference import Reference
 from epos2_ros.motion.stream import Stream
 from epos2_ros.motion.trapezoid import Trapezoid
-from epos2_ros.protocol.group import IN_MOTION, End, Group, Phase
+from epos2_ros.protocol.group import IN_MOTION, End, Phase
+from epos2_ros.protocol.machine import Machine
 from epos2_ros.protocol.outputs import Outputs
-from epos2_ros.protocol.profile_axes import IN_MOTION as IN_PROFILE_MOTION
-from epos2_ros.protocol.profile_axes import Phase as ProfilePhase
-from epos2_ros.protocol.profile_axes import ProfileAxes
 
 PIECE_MS = 10_000
 
@@ -36,25 +34,25 @@ class Predictor:
     def __init__(
         self,
         joints: Sequence[str],
-        group: Group,
-        profile: ProfileAxes,
+        machine: Machine,
         outputs: Outputs,
         reactor: Reactor,
         warn: Callable[[str], None],
         supervisor: Supervisor,
     ) -> None:
         self._supervisor = supervisor
-        self._group = group
-        self._profile = profile
+        self._group = machine.group
+        self._interpolated = machine.interpolated
+        self._profile = machine.profile
         self._outputs = outputs
         self._reactor = reactor
         self._warn = warn
-        self._in_group = [joints.index(axis.joint) for axis in group.axes]
-        self._in_profile = [joints.index(axis.joint) for axis in profile.axes]
+        self._followers = [joints.index(drive.joint) for drive in machine.interpolated.drives]
+        self._place = {drive: joints.index(drive.joint) for drive in machine.drives}
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="prediction")
-        self._motion: Future[End] | None = None  # of the group; None: it stands
+        self._motion: Future[End] | None = None  # along a reference; None: there is none
         self._reference: Reference | None = None  # that it follows, or has followed last
-        self._moves: list[Trapezoid | None] = []  # that are under way; []: they stand
+        self._moves: dict[int, Trapezoid] = {}  # by axis, that are under way
         # The predicting thread's own: by output, of the motion in progress.
         self._foresights: dict[str, tuple[int, Foresight]] = {}
         self._until_ms = 0
@@ -67,31 +65,31 @@ class Predictor:
     def watch(self, now_us: float) -> None:
         """Look whether a motion has begun or is over, and right after what the group follows has
         changed: what is committed to the drives then stays as it was."""
-        self._watch_group(now_us)
-        self._watch_profile(now_us)
+        self._watch_reference(now_us)
+        self._watch_moves(now_us)
 
     # ------------------------------------------------------------------ trajectories
 
-    def _watch_group(self, now_us: float) -> None:
-        group = self._group
-        motion, before = group.motion if group.phase in IN_MOTION else None, self._motion
-        reference = group.feeder.reference
+    def _watch_reference(self, now_us: float) -> None:
+        group, feeder = self._group, self._interpolated.feeder
+        following = group.phase in IN_MOTION and self._interpolated in group.modes
+        motion, before = group.motion if following else None, self._motion
+        reference = feeder.reference
         if motion is not before and before is not None:
-            arrived = group.phase is Phase.STANDING
-            self._finish(self._in_group, group.start_us if arrived else None, now_us)
+            self._finish(self._followers, self._arrival_us, now_us)
         self._motion = motion
         if motion is None or reference is self._reference:
             return
         assert reference is not None
         self._reference = reference
         if motion is before:  # the same up to the end of what is committed
-            self._compute(partial(self._extend, reference, group.feeder.committed_ms))
+            self._compute(partial(self._extend, reference, feeder.committed_ms))
         else:
             self._begin(reference)
 
     def _begin(self, reference: Reference) -> None:
         foresights = {}
-        for column, axis in enumerate(self._in_group):
+        for column, axis in enumerate(self._followers):
             for name, trigger in self._outputs.triggers(axis).items():
                 foresights[name] = column, Foresight(trigger, reference.units[column])
             self._outputs.begin(axis)
@@ -110,7 +108,7 @@ class Predictor:
             return
         if from_ms > self._until_ms:  # there is a gap: no prediction of this motion
             self._foresights = {}
-            for axis in self._in_group:
+            for axis in self._followers:
                 self._reactor.post(partial(self._outputs.forget, axis))
             return
         self._until_ms = from_ms
@@ -134,20 +132,22 @@ class Predictor:
 
     # ------------------------------------------------------------------ moves
 
-    def _watch_profile(self, now_us: float) -> None:
-        profile = self._profile
-        moving = profile.phase in IN_PROFILE_MOTION
+    def _watch_moves(self, now_us: float) -> None:
+        group, profile = self._group, self._profile
+        moving = group.phase in IN_MOTION and profile in group.modes
         if moving and not self._moves:
-            self._moves = [axis.move for axis in profile.axes]
-            for axis, move in zip(self._in_profile, self._moves, strict=True):
-                if move is not None:
-                    self._begin_move(axis, move)
+            self._moves = {self._place[drive]: move for drive, move in profile.moves.items()}
+            for axis, move in self._moves.items():
+                self._begin_move(axis, move)
         elif self._moves and not moving:
-            axes = zip(self._in_profile, self._moves, strict=True)
-            moved = [axis for axis, move in axes if move is not None]
-            arrived = profile.phase is ProfilePhase.STANDING
-            self._finish(moved, profile.start_us if arrived else None, now_us)
-            self._moves = []
+            self._finish(list(self._moves), self._arrival_us, now_us)
+            self._moves = {}
+
+    @property
+    def _arrival_us(self) -> float | None:
+        """When the motion that has ended began; None when it did not come to its end."""
+        arrived = self._group.phase is Phase.STANDING
+        return self._group.path_time.start_us if arrived else None
 
     def _begin_move(self, axis: int, move: Trapezoid) -> None:
         units, path = self._outputs.units[axis], move.path(0.0)

@@ -3,15 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from typing import Protocol
 
 import canopen
 
 from epos2_ros.errors import DriveError
 from epos2_ros.protocol import epos2
-from epos2_ros.protocol.outputs import SdoJob
 from epos2_ros.protocol.sdo import SdoRead, SdoWrite
 
 Answer = tuple[list[int], float, float]
+
+
+class Accesses(Protocol):
+    """First the writes, then the reads."""
+
+    @property
+    def writes(self) -> tuple[SdoWrite, ...]: ...
+
+    @property
+    def reads(self) -> tuple[SdoRead, ...]: ...
 
 
 def write_all(node: canopen.RemoteNode, writes: Iterable[SdoWrite]) -> None:
@@ -44,7 +54,7 @@ def read_position(node: canopen.RemoteNode) -> int:
     return read(node, SdoRead(epos2.POSITION_ACTUAL, 0, 4, signed=True))
 
 
-def perform(node: canopen.RemoteNode, job: SdoJob, now_us: Callable[[], float]) -> Answer:
+def perform(node: canopen.RemoteNode, job: Accesses, now_us: Callable[[], float]) -> Answer:
     """The values that were read, and the times between which they were."""
     write_all(node, job.writes)
     begin_us = now_us()

@@ -8,8 +8,7 @@ from epos2_ros.bus.epos2 import Epos2Settings
 from epos2_ros.config import AxisConfig, DriverConfig
 from epos2_ros.motion.fit import FitAxis
 from epos2_ros.motion.units import AxisUnits, drive_limits
-from epos2_ros.protocol.axis import AxisSetup
-from epos2_ros.protocol.group import GroupSettings
+from epos2_ros.protocol.machine import Machine
 
 VELOCITY_HEADROOM = 1.05
 ACCELERATION_HEADROOM = 1.25
@@ -46,31 +45,20 @@ def drive_settings(axis: AxisConfig, config: DriverConfig) -> Epos2Settings:
     )
 
 
-def axis_setup(axis: AxisConfig) -> AxisSetup:
-    """What the group has to know of one axis; the fit keeps what the drive enforces."""
+def fit_axis(axis: AxisConfig) -> FitAxis:
+    """What the search for records has to keep: what the drive enforces."""
     units = AxisUnits.of(axis)
     acceleration = _acceleration(axis, units, ACCELERATION_HEADROOM)
-    return AxisSetup(
-        axis.joint,
-        axis.node_id,
-        FitAxis(
-            units.velocity_unit_qc_s,
-            _velocity(axis, units, VELOCITY_HEADROOM) * units.velocity_unit_qc_s,
-            math.inf if acceleration is None else acceleration / 60 * axis.counts_per_turn,
-        ),
+    return FitAxis(
+        units.velocity_unit_qc_s,
+        _velocity(axis, units, VELOCITY_HEADROOM) * units.velocity_unit_qc_s,
+        math.inf if acceleration is None else acceleration / 60 * axis.counts_per_turn,
     )
 
 
-def group_settings(config: DriverConfig) -> GroupSettings:
-    """What all axes share."""
-    return GroupSettings(
-        sync_period_us=config.sync_period * 1e6,
-        buffer_time_ms=config.buffer_time * 1e3,
-        tolerance_qc=config.tolerance,
-        smoothness=config.smoothness,
-        clock_master=_index(config, config.sync_source),
-        sync_producer=_index(config, config.sync_producer),
-    )
+def machine_of(config: DriverConfig) -> Machine:
+    """The protocol of all axes."""
+    return Machine(config, fit_axis)
 
 
 def _index(config: DriverConfig, joint: str) -> int | None:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from epos2_ros.bus.link import open_bus
-from epos2_ros.config import AxisConfig, DriverConfig
+from epos2_ros.config import DriverConfig
+from epos2_ros.protocol import copley, epos2
 from epos2_ros.sim.epos2 import Dictionary
 from epos2_ros.sim.realtime import (
     RealtimeSimulator,
@@ -18,11 +17,13 @@ from epos2_ros.sim.realtime import (
 class Simulation:
     """Simulated drives for every joint of the configuration, on the driver's own bus."""
 
-    def __init__(self, config: DriverConfig, copley: Sequence[AxisConfig]) -> None:
+    def __init__(self, config: DriverConfig) -> None:
+        epos2s = [axis for axis in config.axes if axis.drive == epos2.FAMILY.key]
+        copleys = [axis for axis in config.axes if axis.drive == copley.FAMILY.key]
         self._log = config.simulation.log
         self._drives = build_drives(
-            [axis.node_id for axis in config.axes],
-            counts_per_turn=[axis.counts_per_turn for axis in config.axes],
+            [axis.node_id for axis in epos2s],
+            counts_per_turn=[axis.counts_per_turn for axis in epos2s],
             drift_ppm=config.simulation.drift_ppm,
             seed=config.simulation.seed,
             bitrate=config.bitrate,
@@ -31,10 +32,10 @@ class Simulation:
         )
         sampled = {output.joint for output in config.outputs if output.extrapolated}
         beside = build_copley_drives(
-            [axis.node_id for axis in copley],
+            [axis.node_id for axis in copleys],
             drift_ppm=config.simulation.drift_ppm,
             seed=config.simulation.seed,
-            extrapolated=[axis.node_id for axis in copley if axis.joint in sampled],
+            extrapolated=[axis.node_id for axis in copleys if axis.joint in sampled],
         )
         self._bus = open_bus(config.interface, config.channel, config.bitrate, echoes=False)
         self._simulator = RealtimeSimulator(self._bus, [*self._drives, *beside])

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from epos2_ros.bus.health import BusState
+from epos2_ros.motion.units import AxisUnits
+from epos2_ros.protocol.epos2 import BUFFER_SIZE
+from epos2_ros.protocol.group import IN_MOTION
+from epos2_ros.protocol.machine import Machine
 from epos2_ros.protocol.outputs import Tally
 
 
@@ -65,3 +70,56 @@ class Snapshot:
     simulated: bool = False  # the drives are simulated, in the driver's own process
     rejected: Mapping[str, int] = field(default_factory=dict)  # input that was dropped, by kind
     internal_errors: int = 0
+
+
+def axis_snapshots(machine: Machine, now_us: float, deaf: bool) -> tuple[AxisSnapshot, ...]:
+    """Of all axes; `deaf`: nothing is heard any more."""
+    nan, clock = math.nan, machine.time.clock
+    in_motion = machine.group.phase in IN_MOTION
+    path_ms = machine.path_time.at_ms(now_us) if in_motion else math.inf
+    followers = {axis.drive: axis for axis in machine.interpolated.axes}
+    snapshots = []
+    for drive, config in zip(machine.drives, machine.config.axes, strict=True):
+        units, known = AxisUnits.of(config), drive.position_qc is not None
+        silent_us = now_us - drive.heard_us
+        snapshot = AxisSnapshot(
+            joint=drive.joint,
+            node_id=drive.node_id,
+            state=drive.state.value,
+            position=units.from_qc(float(drive.position_qc or 0)) if known else nan,
+            velocity=units.from_qc_s(drive.velocity_qc_s) if known else nan,
+            effort=nan if drive.current_ma is None else drive.current_ma / 1000,
+            stamp_us=drive.measured_us(1e6 / machine.config.state_rate),
+            used=0,
+            free=0,
+            size=0,
+            buffered_ms=0.0,
+            status_word=drive.buffer_status,
+            fault=drive.trouble(),
+            following_error_qc=drive.following_error_qc,
+            clock_offset_us=None,
+            clock_drift_ppm=None,
+            executed_qc=drive.demand_qc,
+            records_sent=0,
+            silent_s=silent_us / 1e6 if deaf or machine.group.silent(drive) else 0.0,
+        )
+        if drive in machine.time.drives:
+            index = machine.time.drives.index(drive)
+            snapshot = replace(
+                snapshot,
+                clock_offset_us=float(clock.offset_us[index]),
+                clock_drift_ppm=1e6 * float(clock.drift[index]),
+            )
+        if drive in followers:
+            account = followers[drive].account
+            used = account.level(path_ms)
+            snapshot = replace(
+                snapshot,
+                used=used,
+                free=BUFFER_SIZE - used,
+                size=BUFFER_SIZE,
+                buffered_ms=max(0.0, account.ahead_ms(path_ms)),
+                records_sent=account.sent,
+            )
+        snapshots.append(snapshot)
+    return tuple(snapshots)

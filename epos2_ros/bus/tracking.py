@@ -9,13 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from epos2_ros.config import DriverConfig
+from epos2_ros.config import AxisConfig
 from epos2_ros.errors import TrajectoryError
 from epos2_ros.motion.reference import Reference, State
 from epos2_ros.motion.units import AxisUnits
 from epos2_ros.protocol.execution import Execution
-from epos2_ros.protocol.group import Group
-from epos2_ros.protocol.path import PathCommander
+from epos2_ros.protocol.machine import Machine
 
 Array = NDArray[np.float64]
 
@@ -66,29 +65,27 @@ class Tracking:
 
 
 def tracked(
-    group: Group,
-    path: PathCommander,
-    units: Sequence[AxisUnits],
-    config: DriverConfig,
-    now_us: float,
+    machine: Machine, configs: Sequence[AxisConfig], state_rate: float, now_us: float
 ) -> Tracking:
-    """What they are doing now."""
-    axes = list(zip(units, group.axes, strict=True))
-    reference, zero_us, known_us = group.feeder.reference, group.zero_us(now_us), -math.inf
+    """What they are doing now; `configs` are those of these axes."""
+    units = [AxisUnits.of(axis) for axis in configs]
+    path, feeder, drives = machine.path, machine.interpolated.feeder, machine.interpolated.drives
+    axes = list(zip(units, drives, strict=True))
+    reference, zero_us, known_us = feeder.reference, machine.path_time.zero_us(now_us), -math.inf
     if path.execution is None or reference is None:
         here = [unit.from_qc(float(axis.demand_qc or 0)) for unit, axis in axes]
         reference = Reference.at_rest(units, here)
     else:
-        known_us = zero_us + 1000 * group.feeder.known_from_ms
-    times = np.array([axis.measured_us(1e6 / config.state_rate) for axis in group.axes])
+        known_us = zero_us + 1000 * feeder.known_from_ms
+    times = np.array([drive.measured_us(1e6 / state_rate) for drive in drives])
     return Tracking(
         now_us=now_us,
-        joints=tuple(axis.joint for axis in group.axes),
+        joints=tuple(drive.joint for drive in drives),
         reference=reference,
         zero_us=zero_us,
         known_us=known_us,
         execution=path.execution,
-        state=group.describe_phase(),
+        state=machine.group.describe_phase(),
         position=np.array([_measured(unit, axis.position_qc) for unit, axis in axes]),
         velocity=np.array([unit.from_velocity_units(float(axis.velocity)) for unit, axis in axes]),
         measured_us=np.where(np.isfinite(times), times, now_us),

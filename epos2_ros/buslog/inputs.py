@@ -1,8 +1,8 @@
 """All that reaches the protocol layer from outside, into a log and out of it again.
 
-`Group` and `PathCommander` do no I/O and read no clock, so the frames they were given, the
-requests, and the times at which they were called make them do the same again. Here is the one
-table of those calls: `record` notes them while the driver runs, `repeat` makes them again.
+`Machine` does no I/O and reads no clock, so the frames it was given, the requests, the answers to
+its own, and the times at which it was called make it do the same again. Here is the one table of
+those calls: `record` notes them while the driver runs, `Repeater` makes them again.
 
 Of the calls of `advance`, those are noted that did something or were due. Frames are the log's own
 lines.
@@ -27,12 +27,13 @@ from epos2_ros.motion.reference import Reference
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.protocol import epos2
 from epos2_ros.protocol.frame import Frame
-from epos2_ros.protocol.group import Group, Phase
-from epos2_ros.protocol.path import PathCommander, Placement
+from epos2_ros.protocol.group import Phase
+from epos2_ros.protocol.machine import Machine
+from epos2_ros.protocol.path import Placement
 
 REQUESTS = ("enable", "disable", "halt", "quick_stop", "reset_fault")
 STOPS = ("stop", "drop_waiting")
-REPORTS = ("start_clock", "reconfigured", "fail", "bus_failed", "buffer_cleared")
+REPORTS = ("start_clock", "fail", "bus_failed")
 POINTS_PER_LINE = 50  # so few that making a line keeps no other thread waiting
 STATE_US = 5_000_000.0  # so often what a group at rest has to know is noted
 EARLY_US = 1_000.0  # so long before a SYNC is seen on the bus it may have been due
@@ -42,17 +43,17 @@ PLACEMENTS_KEPT = 16  # between being worked out and being committed
 Note = Callable[[tuple[Any, ...], Any], None]  # the arguments of a call, and what it returned
 
 
-def record(group: Group, path: PathCommander, log: LogWriter, now_us: Callable[[], float]) -> None:
-    """From now on what is asked of `group` and `path` goes into `log`."""
-    _Recorder(group, path, log, now_us)
+def record(machine: Machine, log: LogWriter, now_us: Callable[[], float]) -> None:
+    """From now on what is asked of `machine` goes into `log`."""
+    _Recorder(machine, log, now_us)
 
 
 class _Recorder:
-    """Stands between whoever calls and the methods of two objects."""
+    """Stands between whoever calls and the methods of the machine and its parts."""
 
-    def __init__(
-        self, group: Group, path: PathCommander, log: LogWriter, now_us: Callable[[], float]
-    ) -> None:
+    def __init__(self, machine: Machine, log: LogWriter, now_us: Callable[[], float]) -> None:
+        group, path = machine.group, machine.path
+        self._machine = machine
         self._group = group
         self._log = log
         self._now_us = now_us
@@ -67,9 +68,11 @@ class _Recorder:
         self._placements: OrderedDict[int, Placement] = OrderedDict()
         for name in REQUESTS + REPORTS:
             self._watch(group, name, self._noting(name))
-        self._watch(group, "receive", self._note_frame)
-        self._watch(group, "advance", self._note_advance)
-        self._watch(path, "advance", lambda arguments, result: None)
+        self._watch(group, "reconfigured", self._note_drive)
+        self._watch(machine, "receive", self._note_frame)
+        self._watch(machine, "advance", self._note_advance)
+        self._watch(machine, "move_to", self._noting("move_to"))
+        self._watch(machine.out, "answer", self._noting("sdo"))
         self._watch(path, "place", self._note_placement)
         self._watch(path, "commit", self._note_commit)
         for name in STOPS:
@@ -81,7 +84,7 @@ class _Recorder:
         def call(*arguments: Any, **named: Any) -> Any:
             if self._inside:
                 return method(*arguments, **named)
-            self._inside, self._sending = True, len(self._group.outbox)
+            self._inside, self._sending = True, len(self._machine.out.frames)
             self._due_us = self._group.deadline_us
             result: Any = None
             try:
@@ -106,6 +109,11 @@ class _Recorder:
 
         return note
 
+    def _note_drive(self, arguments: tuple[Any, ...], result: Any) -> None:
+        drive, *rest = arguments
+        written = [self._machine.drives.index(drive), *rest]
+        self._log.event(self._now_us(), "reconfigured", written)
+
     def _note_answer(self, name: str, answer: Future[None]) -> None:
         error = None if answer.cancelled() else answer.exception()
         self._log.event(self._now_us(), "answer", [name, "" if error is None else str(error)])
@@ -125,10 +133,11 @@ class _Recorder:
             state = {
                 "phase": group.phase.value,
                 "reason": group.reason,
+                "requests": self._machine.out.count,
                 "now_us": t_us,
                 "time_us": self._time_us,
-                "statuswords": [axis.statusword for axis in group.axes],
-                "demands_qc": [axis.demand_qc for axis in group.axes],
+                "statuswords": [drive.statusword for drive in group.drives],
+                "demands_qc": [drive.demand_qc for drive in group.drives],
             }
             self._log.event(t_us, "state", state)
 
@@ -137,8 +146,9 @@ class _Recorder:
         data = {} if group.phase is self._phase else {"phase": group.phase.value}
         if round(now_us, 3) != now_us:  # no host's clock, which counts nanoseconds
             data["now_us"] = now_us
-        sent = len(group.outbox) > self._sending
-        if sent or group.clearing or group.phase is not self._phase or now_us >= self._due_us:
+        out = self._machine.out
+        sent = len(out.frames) > self._sending
+        if sent or out.requests or group.phase is not self._phase or now_us >= self._due_us:
             self._log.event(now_us, "advance", data or None)
 
     def _note_placement(self, arguments: tuple[Any, ...], result: Any) -> None:
@@ -184,12 +194,13 @@ def _pieces(trajectory: Trajectory) -> Iterator[Callable[[], dict[str, Any]]]:
 
 
 class Repeater:
-    """Calls the methods of `group` and `path` as a log says. Times are host µs."""
+    """Calls the methods of `machine` as a log says. Times are host µs."""
 
-    def __init__(self, group: Group, path: PathCommander) -> None:
+    def __init__(self, machine: Machine) -> None:
         self.trajectory: Trajectory | None = None  # the last one that was placed
-        self._group = group
-        self._path = path
+        self._machine = machine
+        self._group = machine.group
+        self._path = machine.path
         self._pieces: list[dict[str, Any]] = []
         self._placements: dict[int, tuple[Placement, Reference]] = {}
 
@@ -201,10 +212,16 @@ class Repeater:
         group = self._group
         if name == "advance":
             now_us = (data or {}).get("now_us", t_us)
-            self._path.advance(now_us)
-            group.advance(now_us)
+            self._machine.advance(now_us)
         elif name == "start_clock":
             group.start_clock(data[0], bytes.fromhex(data[1]))
+        elif name == "reconfigured":
+            index, *rest = data
+            group.reconfigured(self._machine.drives[index], *rest)
+        elif name == "move_to":
+            self._machine.move_to(*data)
+        elif name == "sdo":
+            self._machine.out.answer(*data)
         elif name in REQUESTS + REPORTS:
             getattr(group, name)(*(data or ()))
         elif name == "points":
@@ -221,12 +238,14 @@ class Repeater:
         """Put a group that has done nothing yet into the state that was noted at a SYNC."""
         group, now_us = self._group, state["now_us"]
         for index, statusword in enumerate(state["statuswords"]):
-            group.reconfigured(index, statusword, now_us)
-            group.axes[index].demand_qc = state["demands_qc"][index]
+            drive = group.drives[index]
+            group.reconfigured(drive, statusword, now_us)
+            drive.demand_qc = state["demands_qc"][index]
         group.start_clock(now_us - EARLY_US, b"")
         group.receive(Frame(epos2.TIME), state["time_us"], echo=True)
-        group.outbox.clear()
-        group.phase, group.reason = Phase(state["phase"]), state["reason"]
+        self._machine.out.frames.clear()
+        self._machine.out.count = state["requests"]
+        group.enter(Phase(state["phase"]), state["reason"])
 
     def _gather(self, piece: dict[str, Any]) -> None:
         if not piece["from"]:

@@ -21,7 +21,7 @@ from epos2_ros.errors import ConfigurationError, Epos2RosError
 from epos2_ros.files import read_parameters, share
 from epos2_ros.motion.units import AxisUnits
 from epos2_ros.parameters import DriverParameters
-from epos2_ros.protocol.group import Event
+from epos2_ros.protocol.outbox import Event
 
 STEPS = {
     "position": "the position follows the hand, in sign and scale",

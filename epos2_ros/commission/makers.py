@@ -149,7 +149,7 @@ class Maxon(Maker):
         return found.identity.firmware if version is None else f"{version:04X}h"
 
     def emergency(self, code: int) -> str:
-        return epos2.describe_emergency(code)
+        return epos2.FAMILY.describe_emergency(code)
 
     def operational(self, statusword: int) -> bool | None:
         return bool(statusword & 0x0200)  # "remote"

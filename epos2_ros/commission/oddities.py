@@ -9,7 +9,7 @@ from epos2_ros.bus.health import BusState, Health
 from epos2_ros.commission.found import IDENTITY, Found
 from epos2_ros.commission.makers import HEARTBEAT_TIME, is_drive, maker_of
 from epos2_ros.commission.survey import Survey
-from epos2_ros.protocol.epos2 import describe_emergency
+from epos2_ros.protocol import epos2
 from epos2_ros.protocol.timekeeper import HOST_NODE_ID
 
 STOPPED = 4  # NMT state
@@ -124,7 +124,7 @@ def _of_nodes(survey: Survey) -> Iterator[str]:
                 "two devices have this id"
             )
         if code := next((code for code in heard.emergencies.get(node_id, []) if code), 0):
-            words = maker_of(found).emergency if found.answered else describe_emergency
+            words = maker_of(found).emergency if found.answered else epos2.FAMILY.describe_emergency
             yield f"node {node_id} reported: {words(code)}"
         if found.answered and not is_drive(found):
             yield f"node {node_id} is no drive of CiA 402"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from epos2_ros.bus.simulation import Simulation
@@ -78,9 +78,7 @@ def place_of(arguments: argparse.Namespace) -> Iterator[Place]:
 @contextmanager
 def simulated(config: DriverConfig) -> Iterator[Simulation]:
     """Simulated drives for every joint of the configuration, on its bus."""
-    copley = [axis for axis in config.axes if axis.drive == "copley"]
-    others = tuple(axis for axis in config.axes if axis.drive != "copley")
-    simulation = Simulation(replace(config, axes=others), copley)
+    simulation = Simulation(config)
     try:
         yield simulation
     finally:

@@ -43,6 +43,15 @@ class Trapezoid:
         slower = self.duration_s / duration_s
         return Trapezoid(self.start, self.end, self.peak * slower, self.acceleration * slower**2)
 
+    def in_units(self, velocity_unit: float, acceleration_unit: float) -> Trapezoid:
+        """As a drive makes it of whole counts and whole units, at least one of each."""
+        return Trapezoid(
+            float(round(self.start)),
+            float(round(self.end)),
+            max(1, round(self.velocity / velocity_unit)) * velocity_unit,
+            max(1, round(self.acceleration / acceleration_unit)) * acceleration_unit,
+        )
+
     def path(self, begin_us: float) -> Path:
         """As a path that begins at `begin_us`; a standing axis has one knot."""
         if self.end == self.start:

@@ -58,7 +58,7 @@ from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.node import messages
 from epos2_ros.node.parameters import Parameters
 from epos2_ros.node.serialized import read_trajectory
-from epos2_ros.protocol.group import Event
+from epos2_ros.protocol.outbox import Event
 from epos2_ros.protocol.outputs import OutputEvent
 
 if TYPE_CHECKING:

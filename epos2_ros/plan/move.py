@@ -11,7 +11,7 @@ from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.motion.trapezoid import Trapezoid
 from epos2_ros.motion.units import AxisUnits
 from epos2_ros.plan.outputs import OutputPlans
-from epos2_ros.protocol.profile_axes import as_written
+from epos2_ros.protocol.families import FAMILIES
 
 HEADINGS = ("axis", "from", "to", "velocity", "allowed", "acceleration", "allowed")
 
@@ -46,7 +46,10 @@ def make_move_plan(
         for joint, position in zip(trajectory.joint_names, start, strict=True)
     }
     found = moves(list(axes.values()), standing, *target_of(trajectory))
-    together = {joint: as_written(move) for joint, move in found.items()}
+    together = {
+        joint: move.in_units(*FAMILIES[axes[joint].drive].motion_units(AxisUnits.of(axes[joint])))
+        for joint, move in found.items()
+    }
     return MovePlan(
         tuple((axes[joint], move) for joint, move in together.items()),
         OutputPlans.of(config, {joint: move.path(0.0) for joint, move in together.items()}),

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epos2_ros.bus.cia402_node import DRIVE_HEARTBEAT_MS
-from epos2_ros.bus.settings import axis_setup, drive_settings, group_settings
+from epos2_ros.bus.settings import drive_settings, machine_of
 from epos2_ros.bus.transmitter import worst_case_bits
 from epos2_ros.config import AxisConfig, DriverConfig
 from epos2_ros.motion.crossings import Path
@@ -28,8 +28,7 @@ from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.motion.units import AxisUnits
 from epos2_ros.plan.outputs import OutputPlans
 from epos2_ros.protocol import epos2
-from epos2_ros.protocol.group import Group, Phase
-from epos2_ros.protocol.path import PathCommander
+from epos2_ros.protocol.group import Phase
 from epos2_ros.protocol.timekeeper import HEARTBEAT_PERIOD_US
 
 Array = NDArray[np.float64]
@@ -141,18 +140,17 @@ def make_plan(trajectory: Trajectory, config: DriverConfig, start: Sequence[floa
     beside = [axis for axis in config.axes if axis.drive != "epos2"]
     refuse_trajectory(beside, trajectory.joint_names)
     whole, config = config, replace(config, axes=tuple(a for a in config.axes if a not in beside))
-    group = Group([axis_setup(axis) for axis in config.axes], group_settings(config))
-    commander = PathCommander(group, config)
+    machine = machine_of(config)
     for axis in config.axes:
         drive_settings(axis, config)
     starts_qc = standing(trajectory, config, start)
-    for drive, start_qc in zip(group.axes, starts_qc, strict=True):
+    for drive, start_qc in zip(machine.drives, starts_qc, strict=True):
         drive.demand_qc = start_qc
-    group.phase = Phase.STANDING
+    machine.group.phase = Phase.STANDING
 
-    feeder = group.feeder
+    feeder = machine.interpolated.feeder
     begun_s = time.perf_counter()
-    reference = commander.place(trajectory, None, 0.0).join()
+    reference = machine.path.place(trajectory, None, 0.0).join()
     feeder.begin(reference)
     by_node: dict[int, list[Record]] = {axis.node_id: [] for axis in config.axes}
     sent_ms: list[float] = []

@@ -26,6 +26,7 @@ HALT = 0x0100
 FAULT_BIT = 0x0008
 TARGET_REACHED = 0x0400
 INTERNAL_LIMIT = 0x0800
+OPERATION_MODE_SPECIFIC = 0x1000  # bit 12: ip mode active, set-point acknowledged, homing attained
 
 
 class State(Enum):

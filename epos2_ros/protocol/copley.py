@@ -16,22 +16,15 @@ The numbers are those of the EPOS2's PDOs with the same content.
 
 from __future__ import annotations
 
-import struct
-
 from epos2_ros.protocol import epos2
-from epos2_ros.protocol.epos2 import ASYNCHRONOUS, SYNCHRONOUS, PdoMapping
+from epos2_ros.protocol.family import Family, Field
+from epos2_ros.protocol.pdo import ASYNCHRONOUS, SYNCHRONOUS, PdoMapping
 
 VENDOR_ID = 0x000000AB
 MODE_PROFILE_POSITION = 1
 
-TARGET_POSITION = 0x607A
 VELOCITY_UNIT_COUNTS_S = 0.1
 ACCELERATION_UNIT_COUNTS_S2 = 10.0
-
-# Controlword and statusword bits of profile position mode (CiA 402).
-NEW_SETPOINT = 0x0010
-CHANGE_IMMEDIATELY = 0x0020
-SETPOINT_ACKNOWLEDGED = 0x1000
 
 RPDO_MAPPINGS = (
     PdoMapping(2, epos2.RPDO2, SYNCHRONOUS, ((epos2.CONTROLWORD, 0),)),
@@ -42,16 +35,24 @@ TPDO_MAPPINGS = (
     PdoMapping(
         2, epos2.TPDO2, SYNCHRONOUS, ((epos2.POSITION_ACTUAL, 0), (epos2.VELOCITY_ACTUAL, 0))
     ),
+    PdoMapping(3, epos2.TPDO3, SYNCHRONOUS, ((epos2.STATUSWORD, 0), (epos2.POSITION_DEMAND, 0))),
 )
-TPDO1_LAYOUT = struct.Struct("<H")
-TPDO2_LAYOUT = struct.Struct("<ii")
-
-
-def velocity_object(counts_s: float) -> int:
-    """A speed [counts/s, > 0] for 0x6081: 0.1 counts/s, at least one."""
-    return max(1, round(counts_s / VELOCITY_UNIT_COUNTS_S))
-
-
-def acceleration_object(counts_s2: float) -> int:
-    """An acceleration [counts/s², > 0] for 0x6083 … 0x6085: 10 counts/s², at least one."""
-    return max(1, round(counts_s2 / ACCELERATION_UNIT_COUNTS_S2))
+FAMILY = Family(
+    key="copley",
+    name="a Copley drive",
+    maker="Copley",
+    vendor_id=VENDOR_ID,
+    eds="copley.eds",
+    rpdos=RPDO_MAPPINGS,
+    tpdos=TPDO_MAPPINGS,
+    fields={
+        (epos2.STATUSWORD, 0): Field("H", "statusword"),
+        (epos2.POSITION_ACTUAL, 0): Field("i", "position_qc"),
+        (epos2.VELOCITY_ACTUAL, 0): Field("i", "velocity"),
+        (epos2.POSITION_DEMAND, 0): Field("i", "demand_qc"),
+    },
+    emergencies=epos2.EMERGENCIES,
+    rest_operation=MODE_PROFILE_POSITION,
+    motion_units=lambda units: (VELOCITY_UNIT_COUNTS_S, ACCELERATION_UNIT_COUNTS_S2),
+    has_clock=False,
+)

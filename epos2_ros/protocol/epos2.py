@@ -31,7 +31,9 @@ master's TPDO4 is position demand, statusword and following error.
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
+
+from epos2_ros.protocol.family import Family, Field
+from epos2_ros.protocol.pdo import ASYNCHRONOUS, SYNCHRONOUS, PdoMapping
 
 VENDOR_ID = 0x000000FB
 DEVICE_PROFILE = 402
@@ -65,6 +67,7 @@ STATUSWORD = 0x6041
 MODES_OF_OPERATION = 0x6060
 MODES_OF_OPERATION_DISPLAY = 0x6061
 POSITION_DEMAND = 0x6062
+TARGET_POSITION = 0x607A
 POSITION_ACTUAL = 0x6064
 MAX_FOLLOWING_ERROR = 0x6065
 VELOCITY_ACTUAL = 0x606C
@@ -94,24 +97,6 @@ SDO_ANSWER, SDO_REQUEST = 0x580, 0x600
 HEARTBEAT = 0x700
 
 GENERATES_SYNC = 1 << 30  # in 0x1005: the drive sends SYNC (CiA 301)
-
-SYNCHRONOUS = 1
-ASYNCHRONOUS = 255
-
-
-@dataclass(frozen=True)
-class PdoMapping:
-    """One PDO of a drive: number (1–4), COB-ID without the node id, objects.
-
-    `of_node`: the node whose COB-ID it is; None: the drive's own.
-    """
-
-    number: int
-    cob_id: int
-    transmission_type: int
-    objects: tuple[tuple[int, int], ...]
-    of_node: int | None = None
-
 
 RPDO_MAPPINGS = (
     PdoMapping(1, RPDO1, ASYNCHRONOUS, ((INTERPOLATION_DATA_RECORD, 0),)),
@@ -154,11 +139,6 @@ def clock_slave_rpdo_mappings(master_id: int) -> tuple[PdoMapping, ...]:
     return (*RPDO_MAPPINGS[:2], stamp, *RPDO_MAPPINGS[3:])
 
 
-TPDO1_LAYOUT = struct.Struct("<HH")
-TPDO2_LAYOUT = struct.Struct("<ii")
-TPDO3_LAYOUT = struct.Struct("<IHh")
-TPDO4_LAYOUT = struct.Struct("<iHh")
-CLOCK_MASTER_TPDO3_LAYOUT = struct.Struct("<I")
 EMCY_LAYOUT = struct.Struct("<HB5s")
 
 
@@ -243,11 +223,6 @@ EMERGENCIES = {
 IPM_EMERGENCY = 0xFF0C  # the cause is in 0x20C4-01
 
 
-def describe_emergency(code: int) -> str:
-    """An emergency error code in words, with the number for the manual."""
-    return f"{EMERGENCIES.get(code, 'unknown emergency')} (0x{code:04X})"
-
-
 def describe_buffer_errors(status_word: int) -> str:
     """The error flags of 0x20C4-01 in words, "" when there are none."""
     return ", ".join(
@@ -260,3 +235,29 @@ def describe_buffer_errors(status_word: int) -> str:
 def is_drive_profile(device_type: int) -> bool:
     """Whether 0x1000 names a drive of CiA 402 (low word: profile number)."""
     return device_type & 0xFFFF == DEVICE_PROFILE
+
+
+FAMILY = Family(
+    key="epos2",
+    name="an EPOS2",
+    maker="maxon",
+    vendor_id=VENDOR_ID,
+    eds="epos2.eds",
+    rpdos=RPDO_MAPPINGS,
+    tpdos=TPDO_MAPPINGS,
+    fields={
+        (STATUSWORD, 0): Field("H", "statusword"),
+        (INTERPOLATION_STATUS, 1): Field("H", "buffer_status"),
+        (POSITION_ACTUAL, 0): Field("i", "position_qc"),
+        (VELOCITY_ACTUAL, 0): Field("i", "velocity"),
+        (HIGH_RESOLUTION_TIME_STAMP, 0): Field("I", "latched"),
+        (CURRENT_ACTUAL, 0): Field("h", "current_ma"),
+        (POSITION_DEMAND, 0): Field("i", "demand_qc"),
+        (FOLLOWING_ERROR_ACTUAL, 0): Field("h", "following_error_qc"),
+    },
+    emergencies=EMERGENCIES,
+    rest_operation=MODE_INTERPOLATED_POSITION,
+    motion_units=lambda units: (units.velocity_unit_qc_s, units.counts_per_turn / 60),
+    has_clock=True,
+    power_up_bit=REFRESH_CYCLE,
+)

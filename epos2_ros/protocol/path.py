@@ -30,8 +30,9 @@ from epos2_ros.motion.stream import Stream, is_streamed
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.motion.units import AxisUnits
 from epos2_ros.protocol.execution import Execution
-from epos2_ros.protocol.feeder import HOLD_MS
 from epos2_ros.protocol.group import IN_MOTION, NOT_BEGUN, End, Group, Phase
+from epos2_ros.protocol.modes.interpolated import Interpolated
+from epos2_ros.protocol.pvt.feeder import HOLD_MS
 
 LATE_START_US = 50_000.0  # a trajectory joined midway from rest starts so much after its message
 
@@ -87,11 +88,16 @@ def refuse_ended(trajectory: Trajectory, stamp_us: float | None, now_us: float) 
 
 
 class PathCommander:
-    """Trajectories in, references for the group out. Times are host µs."""
+    """Trajectories in, references for the axes of `interpolated` out. Times are host µs.
 
-    def __init__(self, group: Group, config: DriverConfig) -> None:
+    `config` is that of these axes.
+    """
+
+    def __init__(self, group: Group, interpolated: Interpolated, config: DriverConfig) -> None:
         self._group = group
+        self._interpolated = interpolated
         self._config = config
+        self.axes = config.axes
         self._units = tuple(AxisUnits.of(axis) for axis in config.axes)
         self._limits = Limits.of(config.axes)
         self._waiting: tuple[Placement, Execution] | None = None
@@ -124,10 +130,10 @@ class PathCommander:
         """Where it begins, by what the group is doing now; it takes over `lead_ms` after the end
         of what is committed. TrajectoryError when it can't begin."""
         refuse_ended(trajectory, stamp_us, now_us)
-        group, feeder = self._group, self._group.feeder
+        group, feeder = self._group, self._interpolated.feeder
         if group.standing and not self._streams_on(trajectory):
             return self._from_rest(trajectory, stamp_us, now_us)
-        if group.phase not in IN_MOTION or feeder.reference is None:
+        if not self._in_motion or feeder.reference is None:
             raise TrajectoryError(f"can't move: the drives are {group.describe_phase()}")
         if feeder.ending:
             end_ms = feeder.reference.end_ms
@@ -141,7 +147,7 @@ class PathCommander:
             stamp_us,
             feeder.reference,
             feeder.committed_ms + lead_ms,
-            round((start_us - group.zero_us(now_us)) / 1000),
+            round((start_us - group.path_time.zero_us(now_us)) / 1000),
         )
 
     def commit(
@@ -149,27 +155,29 @@ class PathCommander:
     ) -> bool:
         """Follow `reference`, which `placement.join()` gave; False when it came too late."""
         execution = execution or Execution()
-        group, feeder = self._group, self._group.feeder
+        group, feeder = self._group, self._interpolated.feeder
         match placement.way:
             case Way.BEGIN:
                 if not group.standing or placement.standing_qc != self._standing_qc():
                     return False
-                group.begin(reference, placement.planned_start_us)
+                self._interpolated.plan(reference)
+                group.begin([self._interpolated], placement.planned_start_us)
             case Way.TAKE_OVER:
-                if feeder.reference is not placement.current or group.phase not in IN_MOTION:
+                if feeder.reference is not placement.current or not self._in_motion:
                     return False
                 if feeder.ending or feeder.committed_ms > placement.at_ms:
                     return False
-                group.replace(reference)
+                feeder.replace(reference)
+                group.go_on(End.ARRIVED)
                 if not is_streamed(placement.trajectory):
                     at_s = placement.at_ms / 1000
-                    group.announce("replaced", f"another trajectory takes over at {at_s:.3f} s")
+                    group.out.announce("replaced", f"another trajectory takes over at {at_s:.3f} s")
             case Way.WAIT:
-                if group.phase not in IN_MOTION:
+                if not self._in_motion:
                     return False
                 self.drop_waiting("another trajectory came before it began")
                 self._waiting = placement, execution
-                group.announce("waiting", "the trajectory waits for the axes to come to rest")
+                group.out.announce("waiting", "the trajectory waits for the axes to come to rest")
                 return True
         self._follow(execution, placement.start_ms)
         return True
@@ -177,15 +185,19 @@ class PathCommander:
     def stop(self, reason: str = "stopped on request") -> Future[Any] | None:
         """Slow down along the path from the end of what is committed; None if nothing moves.
 
-        What has not begun does not begin. The future ends when the axes are at rest.
+        What has not begun does not begin, and axes that follow no trajectory are halted. The
+        future ends when the axes are at rest.
         """
         self.drop_waiting(reason)
-        group, feeder = self._group, self._group.feeder
+        group, feeder = self._group, self._interpolated.feeder
         if not group.moving:
             return group.cancel(reason) if group.motion else None
+        if not self._in_motion:
+            return group.halt(reason)
         if not feeder.ending and feeder.reference is not None:
             path = stop(feeder.reference, feeder.committed_ms, self._limits)
-            group.replace(path, End.STOPPED)
+            feeder.replace(path)
+            group.go_on(End.STOPPED)
             if self.execution is not None:
                 self.execution.stop_for(reason)
         return group.motion
@@ -216,7 +228,7 @@ class PathCommander:
         try:
             self.submit(waiting.trajectory, waiting.stamp_us, now_us, execution)
         except TrajectoryError as error:
-            self._group.announce("aborted", str(error))
+            self._group.out.announce("aborted", str(error))
             execution.give_up(str(error))
 
     def _follow(self, execution: Execution, start_ms: int) -> None:
@@ -246,14 +258,20 @@ class PathCommander:
             Way.BEGIN, trajectory, stamp_us, rest, HOLD_MS, start_ms, planned_start_us
         )
 
+    @property
+    def _in_motion(self) -> bool:
+        """Whether it is a trajectory that the axes follow, or are about to."""
+        return self._group.phase in IN_MOTION and self._interpolated in self._group.modes
+
     def _standing_qc(self) -> tuple[int | None, ...]:
-        return tuple(axis.demand_qc for axis in self._group.axes)
+        return tuple(drive.demand_qc for drive in self._interpolated.drives)
 
     def _streams_on(self, trajectory: Trajectory) -> bool:
         """Whether it is the next point of a stream whose first has not begun to move."""
-        reference = self._group.feeder.reference
+        reference = self._interpolated.feeder.reference
         return (
             self._group.phase in NOT_BEGUN
+            and self._in_motion
             and is_streamed(trajectory)
             and reference is not None
             and isinstance(reference.motions[-1], Stream)
@@ -264,7 +282,7 @@ class PathCommander:
         waiting, self._waiting = self._waiting, None
         if waiting is not None:
             text = f"cancelled before it began: {reason}"
-            self._group.announce("cancelled", text)
+            self._group.out.announce("cancelled", text)
             waiting[1].give_up(text)
 
     def _placement(

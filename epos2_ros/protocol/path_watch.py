@@ -13,13 +13,14 @@ from epos2_ros.motion.compare import LOOP_US
 from epos2_ros.motion.crossings import Path
 from epos2_ros.motion.record import Record
 from epos2_ros.protocol import epos2
-from epos2_ros.protocol.buffer_account import BufferAccount
+from epos2_ros.protocol.drive import Drive
 from epos2_ros.protocol.executed_path import Demand, ExecutedPath
 from epos2_ros.protocol.frame import Frame
-from epos2_ros.protocol.group import Group, Phase
-from epos2_ros.protocol.profile_axes import ProfileAxis
+from epos2_ros.protocol.group import IN_MOTION, Group, Phase
+from epos2_ros.protocol.pvt.axis import PvtAxis
+from epos2_ros.protocol.pvt.buffer_account import BufferAccount
 
-_ON_THE_PATH = (Phase.STARTING, Phase.MOVING, Phase.STANDING, Phase.PRIMING, Phase.ARMING)
+_ON_THE_PATH = IN_MOTION | {Phase.STANDING}
 
 
 class PathWatch(Protocol):
@@ -32,12 +33,13 @@ class PathWatch(Protocol):
 
 
 class RecordPathWatch:
-    """One EPOS2 axis of the group. The group takes a frame in first."""
+    """One axis that follows records. The group takes a frame in first."""
 
-    def __init__(self, group: Group, index: int) -> None:
+    def __init__(self, group: Group, axis: PvtAxis) -> None:
         self.executed = ExecutedPath()
         self._group = group
-        self._axis = group.axes[index]
+        self._axis = axis
+        self._drive = axis.drive
         self._account: BufferAccount | None = None  # of the motion the records belong to
         self._records: list[Record] = []  # sent before its start
         self._started = False
@@ -48,7 +50,7 @@ class RecordPathWatch:
 
     def receive(self, frame: Frame, t_us: float, echo: bool) -> Path | None:
         """The piece of path that this frame completes, if any."""
-        node = self._axis.node_id
+        node = self._drive.node_id
         if echo and frame.can_id == epos2.RPDO1 + node:
             self._on_record(Record.unpack(frame.data))
         elif frame.can_id == epos2.SYNC:
@@ -67,19 +69,19 @@ class RecordPathWatch:
 
     def _on_sync(self, t_us: float) -> None:
         self._sync_us = t_us
-        if not self._started and self._records and self._group.start_us == t_us:
-            assert self._axis.demand_qc is not None
+        if not self._started and self._records and self._group.path_time.start_us == t_us:
+            assert self._drive.demand_qc is not None
             self._started = True
-            self._demand, self._zero_us = Demand.resting(self._axis.demand_qc, t_us), t_us
+            self._demand, self._zero_us = Demand.resting(self._drive.demand_qc, t_us), t_us
             for record in self._records:
                 self._demand.add(record, self._axis.fit.velocity_unit_qc_s)
         elif self._started and self._demand is not None:
-            zero_us = self._group.zero_us(t_us)
+            zero_us = self._group.path_time.zero_us(t_us)
             self._demand.shift(zero_us - self._zero_us)
             self._zero_us = zero_us
 
     def _on_sample(self) -> Path | None:
-        demand_qc = self._axis.demand_qc
+        demand_qc = self._drive.demand_qc
         if self._sync_us is None or demand_qc is None:
             return None
         if self._group.phase not in _ON_THE_PATH:
@@ -89,22 +91,22 @@ class RecordPathWatch:
             when_us = self._demand.when(demand_qc, self._sync_us)
             if when_us is not None:
                 self._age_us = self._sync_us - when_us
-        position = demand_qc - self._axis.following_error_qc
+        position = demand_qc - (self._drive.following_error_qc or 0)
         return self.executed.sample(self._sync_us - self._age_us, position, 0.0, self._demand)
 
 
 class ProfilePathWatch:
-    """One axis in profile position mode. `ProfileAxes` takes a frame in first."""
+    """One axis that moves in profile position mode. The group takes a frame in first."""
 
-    def __init__(self, axis: ProfileAxis) -> None:
+    def __init__(self, drive: Drive) -> None:
         self.executed = ExecutedPath()
-        self._axis = axis
+        self._drive = drive
 
     def receive(self, frame: Frame, t_us: float, echo: bool) -> Path | None:
         """The piece of path that this frame completes, if any."""
-        axis = self._axis
-        if echo or frame.can_id != epos2.TPDO2 + axis.node_id or axis.position_qc is None:
+        drive = self._drive
+        if echo or frame.can_id != epos2.TPDO2 + drive.node_id or drive.position_qc is None:
             return None
         # The position is from the drive's last loop, half a loop ago on average.
-        t_us = axis.sample_us - LOOP_US / 2
-        return self.executed.sample(t_us, axis.position_qc, axis.velocity_qc_s, axis.demand)
+        t_us = drive.sample_us - LOOP_US / 2
+        return self.executed.sample(t_us, drive.position_qc, drive.velocity_qc_s, drive.demand)

@@ -21,10 +21,10 @@ from collections.abc import Sequence
 from statistics import median
 
 from epos2_ros.protocol import epos2
-from epos2_ros.protocol.axis import Axis
 from epos2_ros.protocol.clock import MasterClock
+from epos2_ros.protocol.drive import Drive
 from epos2_ros.protocol.frame import Frame
-from epos2_ros.protocol.path_audit import patience_syncs
+from epos2_ros.protocol.pvt.path_audit import patience_syncs
 
 HEARTBEAT_PERIOD_US = 100_000.0  # of the host; the drives watch it (0x1016)
 HOST_NODE_ID = 127
@@ -42,26 +42,29 @@ SYNC_SILENCE_US = 1_000_000.0  # … and at least so long: it does not come any 
 
 
 class Timekeeper:
-    """Keeps the clocks of `axes` together; puts its frames into `outbox`. Times are host µs.
+    """Keeps the clocks of `drives` together; puts its frames into `outbox`. Times are host µs.
 
-    `master`: index of the axis whose drive is the clock master; None: the host. `produces`:
-    whether the host sends SYNC.
+    `master`: the drive that is the clock master; None: the host. `producer`: the one that sends
+    SYNC; None: the host. `answering`: how many drives answer a SYNC.
     """
 
     def __init__(
         self,
-        axes: Sequence[Axis],
+        drives: Sequence[Drive],
+        answering: int,
         period_us: float,
         outbox: deque[Frame],
-        master: int | None = None,
-        produces: bool = True,
+        master: Drive | None = None,
+        producer: Drive | None = None,
     ) -> None:
-        self.clock = MasterClock(len(axes), period_us, master)
+        self.drives = tuple(drives)
+        self.period_us = period_us
+        self.producer = producer
+        master_index = None if master is None else self.drives.index(master)
+        self.clock = MasterClock(len(drives), period_us, master_index)
         self.sync_count = 0
-        self._master = master
-        self._produces = produces
-        self._axes = axes
-        self._period_us = period_us
+        self._master = master_index
+        self._answering = answering
         self._outbox = outbox
         self._last_sync_us = -math.inf
         self._sync_due_us = math.inf
@@ -70,19 +73,24 @@ class Timekeeper:
         self._begins_path = False  # the last SYNC did
         self._patience = patience_syncs(period_us)
         self._syncs_us: deque[float] = deque(maxlen=_REMEMBERED)  # before the last
-        self._missed = [0] * len(axes)  # SYNCs in a row without an answer that can be of them
-        self._stray = [""] * len(axes)  # what was wrong with the last answer that can't
-        self._off_us = [0.0] * len(axes)  # how far each clock was from the others' at the last SYNC
+        self._missed = [0] * len(drives)  # SYNCs in a row without an answer that can be of them
+        self._stray = [""] * len(drives)  # what was wrong with the last answer that can't
+        self._off_us = [0.0] * len(drives)  # of each clock, from the others' at the last SYNC
         self._forget()
 
     def _forget(self) -> None:
         """Nothing is on its way."""
         self._syncing = False  # a SYNC was handed over and is not yet seen on the bus
         self._unstamped_us = math.inf  # when the SYNC was that awaits its time stamps
-        self._latched: list[int | None] = [None] * len(self._axes)  # the answers to it
+        self._latched: list[int | None] = [None] * len(self.drives)  # the answers to it
         self._ahead_us: dict[int, float] = {}  # how far each was from what the clock was to be
         self._slow: list[int] = []  # drives to be corrected half a period after the SYNC
         self._stamps: dict[int, int] = {}  # by drive: handed over, not yet seen on the bus
+
+    @property
+    def produces(self) -> bool:
+        """Whether the host sends SYNC."""
+        return self.producer is None
 
     @property
     def running(self) -> bool:
@@ -91,12 +99,12 @@ class Timekeeper:
     def start(self, now_us: float, time_of_day: bytes) -> None:
         """TIME sets every drive's motion clock to zero; SYNC and heartbeat begin."""
         self._forget()
-        self._missed = [0] * len(self._axes)
-        self._off_us = [0.0] * len(self._axes)
+        self._missed = [0] * len(self.drives)
+        self._off_us = [0.0] * len(self.drives)
         self._syncs_us.clear()
         self._outbox.append(Frame(epos2.TIME, time_of_day))
-        if self._produces:
-            self._sync_due_us = now_us + self._period_us
+        if self.produces:
+            self._sync_due_us = now_us + self.period_us
         self._last_sync_us = now_us
         self._heartbeat_due_us = now_us
 
@@ -169,12 +177,12 @@ class Timekeeper:
     @property
     def answered_us(self) -> float:
         """When the answers to the last SYNC are through: no other should go out before."""
-        return self._last_sync_us + ANSWER_US * (len(self._axes) + 1)
+        return self._last_sync_us + ANSWER_US * (self._answering + 1)
 
     @property
     def next_sync_us(self) -> float:
         """When the next SYNC of a drive is to be expected."""
-        return self._last_sync_us + self._period_us
+        return self._last_sync_us + self.period_us
 
     @staticmethod
     def shortest_period_us(axes: int) -> float:
@@ -199,9 +207,9 @@ class Timekeeper:
 
     def sync_missing(self, now_us: float) -> bool:
         """Whether the drive that should has sent no SYNC for long."""
-        patience_us = max(MISSED_SYNCS * self._period_us, SYNC_SILENCE_US)
+        patience_us = max(MISSED_SYNCS * self.period_us, SYNC_SILENCE_US)
         overdue = now_us > self._last_sync_us + patience_us
-        return not self._produces and self.running and overdue
+        return not self.produces and self.running and overdue
 
     def sync(self, now_us: float) -> None:
         """A SYNC goes out; the period counts from it if it is out of turn.
@@ -211,9 +219,9 @@ class Timekeeper:
         self._syncing = True
         self._slow = []
         self._outbox.append(Frame(epos2.SYNC))
-        self._sync_due_us += self._period_us
-        if not now_us < self._sync_due_us <= now_us + self._period_us:
-            self._sync_due_us = now_us + self._period_us
+        self._sync_due_us += self.period_us
+        if not now_us < self._sync_due_us <= now_us + self.period_us:
+            self._sync_due_us = now_us + self.period_us
         if now_us < self._path_sync_us:
             self._sync_due_us = min(self._sync_due_us, self._path_sync_us)
 
@@ -222,7 +230,7 @@ class Timekeeper:
     def before_path(self, sync_us: float) -> None:
         """A path is going to begin: a SYNC at `sync_us`, and the clocks as close as can be."""
         self._path_sync_us = sync_us
-        if self._produces:
+        if self.produces:
             self._sync_due_us = min(self._sync_due_us, sync_us)
 
     def after_path(self) -> None:
@@ -234,14 +242,14 @@ class Timekeeper:
 
     @property
     def _follow_up_due_us(self) -> float:
-        wait_us = min(FOLLOW_UP_US, FOLLOW_UP_SHARE * self._period_us)
+        wait_us = min(FOLLOW_UP_US, FOLLOW_UP_SHARE * self.period_us)
         if all(value is None for value in self._latched):
             wait_us *= 2  # there is nobody to correct yet
         return self._unstamped_us + wait_us
 
     @property
     def _slow_due_us(self) -> float:
-        return self._last_sync_us + self._period_us / 2
+        return self._last_sync_us + self.period_us / 2
 
     def _follow_up(self, now_us: float) -> None:
         """The drives have answered, or had their time: correct those that have."""
@@ -250,9 +258,9 @@ class Timekeeper:
         clock = self.clock
         if all(self._stray) and not clock.settled:
             clock.begin_anew()
-            self._missed = [0] * len(self._axes)
-            self._stray = [""] * len(self._axes)
-        elif self._axes:  # else there is no clock to keep
+            self._missed = [0] * len(self.drives)
+            self._stray = [""] * len(self.drives)
+        elif self.drives:  # else there is no clock to keep
             clock.on_sync(self._unstamped_us, self._latched)
             self._compare()
         self._unstamped_us = math.inf
@@ -281,9 +289,9 @@ class Timekeeper:
             self._off_us[drive] = self._ahead_us.get(drive, common_us) - common_us
 
     def _correct(self, drives: Sequence[int], now_us: float) -> None:
-        if not self._produces and now_us > self.next_sync_us - LEAD_US:
+        if not self.produces and now_us > self.next_sync_us - LEAD_US:
             return  # it would be taken for the stamp of the next SYNC
         for drive in drives:
             stamp = self.clock.stamp(drive, now_us - self._last_sync_us)
             self._stamps[drive] = stamp
-            self._outbox.append(self._axes[drive].time_stamp(stamp))
+            self._outbox.append(self.drives[drive].time_stamp(stamp))

@@ -9,31 +9,27 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from epos2_ros.protocol.group import Group
-from epos2_ros.protocol.profile_axes import ProfileAxes
+from epos2_ros.protocol.machine import Machine
 
 
 class Trace:
     """`watch` after everything that may have changed something; `tell` gets the lines."""
 
-    def __init__(self, group: Group, profile: ProfileAxes, tell: Callable[[str], None]) -> None:
-        self._group = group
-        self._profile = profile
+    def __init__(self, machine: Machine, tell: Callable[[str], None]) -> None:
+        self._group = machine.group
+        self._time = machine.time
+        self._followers = machine.interpolated.axes
         self._tell = tell
-        self._shown: dict[str, Any] = {"sync": group.time.sync_count}
+        self._shown: dict[str, Any] = {"sync": machine.time.sync_count}
         self._told = self._sent()  # records of each axis, as last told
         self._sent_before = self._told
 
     def watch(self) -> None:
         """Tell what has changed since the last call."""
         group = self._group
-        for name, machine in (("group", group), ("profile axes", self._profile)):
-            if machine.axes:
-                self._show(name, machine.phase.value, machine.reason)
-        for axis in group.axes:
-            self._show(str(axis), axis.state.value, f"statusword {axis.statusword:04X}h")
-        for beside in self._profile.axes:
-            self._show(str(beside), beside.state.value, f"statusword {beside.statusword:04X}h")
+        self._show("group", group.phase.value, group.reason)
+        for drive in group.drives:
+            self._show(str(drive), drive.state.value, f"statusword {drive.statusword:04X}h")
         self._show_records()
         self._show_clocks()
 
@@ -45,30 +41,30 @@ class Trace:
                 self._tell(f"{name}: {before} → {value}" + (f" ({why})" if why else ""))
 
     def _sent(self) -> list[int]:
-        return [axis.account.sent for axis in self._group.axes]
+        return [axis.account.sent for axis in self._followers]
 
     def _show_records(self) -> None:
         """A batch is told when no more records come."""
         sent = self._sent()
         if sent == self._sent_before and sent != self._told:
             parts = []
-            for axis, now, before in zip(self._group.axes, sent, self._told, strict=True):
+            for axis, now, before in zip(self._followers, sent, self._told, strict=True):
                 new = now - before if now >= before else now  # of a motion that has begun since
                 if new:
-                    parts.append(f"{axis.joint} {new} (up to {axis.account.committed_ms} ms)")
+                    parts.append(f"{axis.drive.joint} {new} (up to {axis.account.committed_ms} ms)")
             if parts:
                 self._tell(f"records sent: {', '.join(parts)}")
             self._told = sent
         self._sent_before = sent
 
     def _show_clocks(self) -> None:
-        time = self._group.time
+        time = self._time
         if self._shown.get("sync") != time.sync_count:
             self._shown["sync"] = time.sync_count
-            offsets = zip(self._group.axes, time.clock.offset_us.tolist(), strict=True)
+            offsets = zip(time.drives, time.clock.offset_us.tolist(), strict=True)
             off = ", ".join(
-                f"{axis.joint} {offset_us:+.1f}"
-                for axis, offset_us in offsets
+                f"{drive.joint} {offset_us:+.1f}"
+                for drive, offset_us in offsets
                 if math.isfinite(offset_us)
             )
             off = off or "(not known yet)"

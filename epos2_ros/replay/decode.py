@@ -10,13 +10,13 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from epos2_ros.bus.copley import COPLEY
 from epos2_ros.bus.epos2 import family_of
 from epos2_ros.bus.settings import drive_settings
 from epos2_ros.buslog.asc import FrameLine
 from epos2_ros.config import DriverConfig
 from epos2_ros.protocol import epos2
 from epos2_ros.protocol.epos2 import PdoMapping
+from epos2_ros.protocol.families import FAMILIES
 from epos2_ros.replay.objects import Objects
 from epos2_ros.replay.sdo import REQUEST, RESPONSE, SdoFollower, Transfer
 
@@ -114,7 +114,7 @@ class Decoder:
         self._settings: dict[tuple[int, bool, int], _PdoSetting] = {}
         self._pdos: dict[int, list[_PdoSetting]] = {}  # by COB-ID
         for axis in config.axes if config else ():
-            family = COPLEY
+            family = FAMILIES["copley"]
             if config and axis.drive != "copley":
                 family = family_of(drive_settings(axis, config))
             self._default(axis.node_id, False, family.rpdos)

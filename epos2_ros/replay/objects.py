@@ -7,15 +7,14 @@ import functools
 import canopen
 from canopen.objectdictionary import ODArray, ODRecord, ODVariable
 
-from epos2_ros.bus.cia402_node import Family
-from epos2_ros.bus.copley import COPLEY
-from epos2_ros.bus.epos2 import EPOS2
+from epos2_ros.bus.cia402_node import object_dictionary
 from epos2_ros.config import DriverConfig
 from epos2_ros.protocol import cia402, epos2
+from epos2_ros.protocol.families import FAMILIES
+from epos2_ros.protocol.family import Family
 from epos2_ros.replay import words
 from epos2_ros.replay.sdo import Transfer
 
-_FAMILIES = (EPOS2, COPLEY)
 _STRINGS = frozenset(
     {
         canopen.objectdictionary.datatypes.VISIBLE_STRING,
@@ -29,7 +28,7 @@ _MODES = {1: "profile position", 3: "profile velocity", 6: "homing", 7: "interpo
 
 @functools.cache
 def _dictionary(family: Family) -> canopen.ObjectDictionary:
-    return family.object_dictionary()
+    return object_dictionary(family)
 
 
 class Objects:
@@ -40,7 +39,7 @@ class Objects:
 
     def __init__(self, config: DriverConfig | None = None) -> None:
         self._families = {
-            axis.node_id: COPLEY if axis.drive == "copley" else EPOS2
+            axis.node_id: FAMILIES[axis.drive]
             for axis in (config.axes if config else ())
         }
 
@@ -48,7 +47,7 @@ class Objects:
         """A transfer that was done may say whose drive it is."""
         if (transfer.entry, transfer.subindex) == (epos2.IDENTITY, 1) and transfer.data:
             vendor = int.from_bytes(transfer.data, "little")
-            for family in _FAMILIES:
+            for family in FAMILIES.values():
                 if family.vendor_id == vendor:
                     self._families[transfer.node] = family
 
@@ -113,7 +112,7 @@ class Objects:
         return text
 
     def _variable(self, node: int, index: int, subindex: int) -> ODVariable | None:
-        entry = _dictionary(self._families.get(node, EPOS2)).get(index)
+        entry = _dictionary(self._families.get(node, epos2.FAMILY)).get(index)
         if isinstance(entry, ODVariable):
             return entry if subindex == 0 else None
         return None if entry is None else entry.get(subindex)

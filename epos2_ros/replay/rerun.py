@@ -1,9 +1,9 @@
 """The protocol layer run over a log: what it would send, against what was sent.
 
-What the driver was asked and received goes into the same `Group` and `PathCommander`, at the same
-times (`buslog.inputs`), so the same code sends the same. Where it does not, the code is another,
-or something reached the driver that the log does not hold. Only this module and `buslog.inputs`
-know the protocol layer.
+What the driver was asked and received goes into the same `Machine`, at the same times
+(`buslog.inputs`), so the same code sends the same. Where it does not, the code is another, or
+something reached the driver that the log does not hold. Only this module and `buslog.inputs` know
+the protocol layer.
 
 A frame counts by its COB-ID and its place among those; where one is queued behind others on the
 bus does not matter. A log whose beginning or middle is lost is entered where the axes next stand.
@@ -14,18 +14,15 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import Any
 
-from epos2_ros.bus.settings import axis_setup, group_settings
+from epos2_ros.bus.settings import machine_of
 from epos2_ros.buslog.asc import EventLine, FrameLine
 from epos2_ros.buslog.inputs import Repeater
 from epos2_ros.config import DriverConfig
 from epos2_ros.motion.record import Record
 from epos2_ros.protocol import epos2
 from epos2_ros.protocol.frame import Frame
-from epos2_ros.protocol.group import Group
-from epos2_ros.protocol.path import PathCommander
 from epos2_ros.protocol.timekeeper import HOST_NODE_ID
 from epos2_ros.replay import words
 from epos2_ros.replay.timeline import Told
@@ -44,9 +41,7 @@ class Rerun:
     """
 
     def __init__(self, config: DriverConfig, host_us: float, whole: bool = True) -> None:
-        axes = tuple(axis for axis in config.axes if axis.drive == "epos2")
-        self._alone = len(axes) == len(config.axes)  # nobody else makes events
-        self._config = replace(config, axes=axes)
+        self._config = config
         self._host_us = host_us
         self._running = self._whole = whole
         self._told: set[int] = set()  # COB-IDs whose first difference in this motion was told
@@ -56,10 +51,10 @@ class Rerun:
 
     def _begin(self) -> None:
         """A group that has done nothing yet."""
-        axes = [axis_setup(axis) for axis in self._config.axes]
-        self._group = Group(axes, group_settings(self._config))
-        self._names = {axis.node_id: str(axis) for axis in self._group.axes}
-        self._repeater = Repeater(self._group, PathCommander(self._group, self._config))
+        self._machine = machine_of(self._config)
+        self._group = self._machine.group
+        self._names = {drive.node_id: str(drive) for drive in self._machine.drives}
+        self._repeater = Repeater(self._machine)
         self._phase = self._group.phase
         self._expected: dict[int, deque[tuple[float, bytes]]] = {}
         self._replaced: dict[int, bytes] = {}  # what another frame was sent in place of
@@ -76,7 +71,7 @@ class Rerun:
             yield from self._compare(line)
         try:
             t_us = round(self._host_us + 1e6 * line.t_s, 3)
-            self._group.receive(Frame(line.can_id, line.data), t_us, line.sent)
+            self._machine.receive(Frame(line.can_id, line.data), t_us, line.sent)
         except Exception as error:  # whatever a log holds, the timeline goes on
             yield self._give_up(line.t_s, error)
             return
@@ -146,14 +141,14 @@ class Rerun:
 
     def _gather(self, t_s: float) -> Iterator[Told]:
         """What the group has made of it."""
-        group = self._group
-        while group.outbox:
-            frame = group.outbox.popleft()
+        group, out = self._group, self._machine.out
+        while out.frames:
+            frame = out.frames.popleft()
             if self._bus_works and self._is_ours(frame.can_id):
                 self._expected.setdefault(frame.can_id, deque()).append((t_s, frame.data))
-        group.clearing.clear()  # carried out by SDO; the log has the answers
-        while group.events:
-            event = group.events.popleft()
+        out.requests.clear()  # the log has the answers
+        while out.events:
+            event = out.events.popleft()
             if event.kind in EVENTS:
                 self._events.append((event.kind, event.text))
         if group.phase is not self._phase:
@@ -217,7 +212,7 @@ class Rerun:
         elif self._events:
             would = "{}: {}".format(*self._events.popleft())
             yield Told(t_s, None, f"≠ the driver said {said}; it would say {would}")
-        elif self._alone:
+        else:
             yield Told(t_s, None, f"≠ the driver said {said}; it would not")
 
     @staticmethod

@@ -98,7 +98,7 @@ class Timeline:
             self._node(axis.node_id).mode = 1 if axis.drive == "copley" else 7
         self._unknown: dict[tuple[str, int], int] = {}
         self._joints = {axis.node_id: axis.joint for axis in config.axes} if config else {}
-        self._group = [a.node_id for a in config.axes if a.drive == "epos2"] if config else []
+        self._group = [a.node_id for a in config.axes] if config else []
         self._node_ids = {joint: node for node, joint in self._joints.items()}
 
     def name(self, node: int) -> str:
@@ -245,7 +245,7 @@ class Timeline:
         t_s, name, data = line
         if name == "points":
             self._points(data)
-        if name in _SILENT:
+        if name in _SILENT or (name == "sdo" and not _failed(data)):
             return
         try:
             text = self._event_words(name, data)
@@ -263,7 +263,7 @@ class Timeline:
     def _node_of(self, name: str, data: Any) -> int | None:
         if name == "output" and isinstance(data, Mapping):
             return self._node_ids.get(data.get("joint", ""))
-        if name in ("reconfigured", "buffer_cleared") and isinstance(data, list) and data:
+        if name == "reconfigured" and isinstance(data, list) and data:
             return self._nth(data[0])
         return None
 
@@ -293,10 +293,8 @@ class Timeline:
                 )
             case "reconfigured", [_, int(statusword), *_]:
                 return f"brought up, {cia402.state_of(statusword).value}"
-            case "buffer_cleared", [_, str(error)] if error:
-                return f"its buffer can't be cleared: {error}"
-            case "buffer_cleared", [_, *_]:
-                return "its buffer is empty"
+            case "sdo", [_, _, str(error)] if error:
+                return f"an SDO request came to nothing: {error}"
             case "dropped", {"entries": int(entries)}:
                 return f"{entries} entries are missing here: the disk was too slow for the log"
             case "output", {"name": str(output), "position": position}:
@@ -315,3 +313,8 @@ class Timeline:
 
 def _number(data: bytes) -> int:
     return int.from_bytes(data, "little")
+
+
+def _failed(answer: Any) -> bool:
+    """Whether an SDO request of the driver's came to nothing."""
+    return isinstance(answer, list) and len(answer) == 3 and bool(answer[2])

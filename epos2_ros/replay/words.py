@@ -68,7 +68,8 @@ def emergency(code: int, register: int, more: bytes) -> str:
     if code == 0:
         return "emergency: error reset (0x0000)"
     rest = f", {more.hex(' ')}" if any(more) else ""
-    return f"emergency: {epos2.describe_emergency(code)}, error register {register:02X}h{rest}"
+    what = epos2.FAMILY.describe_emergency(code)
+    return f"emergency: {what}, error register {register:02X}h{rest}"
 
 
 def buffer_flags(word: int) -> list[str]:

@@ -16,7 +16,7 @@ import math
 from collections import deque
 from collections.abc import Sequence
 
-from epos2_ros.protocol.axis import Axis
+from epos2_ros.protocol.pvt.axis import PvtAxis
 
 ASK_AGAIN_US = 50_000.0  # a drive that has not yet reported what it was sent
 
@@ -27,7 +27,7 @@ class BufferReads:
     `buffer_time_ms` of motion is kept ahead in each drive.
     """
 
-    def __init__(self, axes: Sequence[Axis], buffer_time_ms: float) -> None:
+    def __init__(self, axes: Sequence[PvtAxis], buffer_time_ms: float) -> None:
         self.outbox: deque[int] = deque()
         self._axes = axes
         self._pause_us = 500 * buffer_time_ms / max(len(axes), 1)
@@ -45,7 +45,7 @@ class BufferReads:
 
     # ------------------------------------------------------------------ before the start
 
-    def unreported(self) -> list[Axis]:
+    def unreported(self) -> list[PvtAxis]:
         """Axes that have not yet reported every record they were sent."""
         return [axis for axis, done in zip(self._axes, self._reported, strict=True) if not done]
 

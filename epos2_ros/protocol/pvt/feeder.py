@@ -21,9 +21,9 @@ from epos2_ros.motion.record import MAX_SEGMENT_MS, Record
 from epos2_ros.motion.reference import Reference
 from epos2_ros.motion.stream import Stream
 from epos2_ros.protocol import epos2
-from epos2_ros.protocol.axis import Axis
-from epos2_ros.protocol.buffer_account import BufferAccount
 from epos2_ros.protocol.frame import Frame
+from epos2_ros.protocol.pvt.axis import PvtAxis
+from epos2_ros.protocol.pvt.buffer_account import BufferAccount
 
 HOLD_MS = 1
 MIN_RECORDS_AHEAD = 3  # in the FIFO, so that two remain when the next segment begins
@@ -40,7 +40,7 @@ class Feeder:
 
     def __init__(
         self,
-        axes: Sequence[Axis],
+        axes: Sequence[PvtAxis],
         buffer_time_ms: float,
         tolerance_qc: float,
         smoothness: float,
@@ -57,10 +57,9 @@ class Feeder:
         """A new motion, from where the drives stand."""
         self._follow(reference)
         self.known_from_ms, self._path_ms = -math.inf, 0.0
-        self._fitter.begin(reference, [axis.demand_qc or 0 for axis in self._axes], HOLD_MS)
+        self._fitter.begin(reference, [axis.standing_qc for axis in self._axes], HOLD_MS)
         for axis in self._axes:
-            axis.account = BufferAccount()
-            axis.audit.rest(axis.demand_qc or 0)
+            axis.begin()
 
     def replace(self, reference: Reference) -> None:
         """Go on along `reference`, equal to the current one up to the end of what is committed."""
@@ -109,15 +108,11 @@ class Feeder:
             key=lambda candidate: self._due_ms(candidate[1].account),
         )
         record = self._next_record(index, axis)
-        if record is None:
-            return None
-        axis.account.send(record)
-        axis.audit.send(record)
-        return axis.record(record)
+        return None if record is None else axis.send(record)
 
-    def _next_record(self, index: int, axis: Axis) -> Record | None:
+    def _next_record(self, index: int, axis: PvtAxis) -> Record | None:
         if not axis.account.sent:
-            return Record(axis.demand_qc or 0, 0, HOLD_MS)
+            return Record(axis.standing_qc, 0, HOLD_MS)
         try:
             return self._fitter.next(index)
         except TrajectoryError as error:

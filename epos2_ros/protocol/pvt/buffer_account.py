@@ -68,9 +68,7 @@ class BufferAccount:
         """Path time from which fewer than `count` records are in the FIFO; 0 if never so many."""
         return self._begins[-count] if len(self._begins) >= count else 0.0
 
-    def report(
-        self, free: int, asked_us: float, from_ms: float | None, to_ms: float | None
-    ) -> str:
+    def report(self, free: int, asked_us: float, from_ms: float | None, to_ms: float | None) -> str:
         """The drive, asked at host time `asked_us`, had `free` records free between two path times.
 
         Before the start (None) it has to have every record, after it what is accounted for. What

@@ -1,0 +1,193 @@
+"""One drive as its group sees it: what it last reported, and the frames that command it.
+
+What a PDO means is what it was mapped to, whoever made the drive: a mapping names objects, and here
+is what each of them is to the group.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from epos2_ros.protocol import cia402, epos2
+from epos2_ros.protocol.cia402 import State
+from epos2_ros.protocol.executed_path import Demand
+from epos2_ros.protocol.family import Family
+from epos2_ros.protocol.frame import Frame
+from epos2_ros.protocol.pdo import SYNCHRONOUS, PdoMapping
+
+HOLDS_PERIODS = 2.0  # so many of its inhibit time after a change a drive has reported it
+SYNC_ANSWER_AGE_US = 50_000.0  # an answer to SYNC may wait so long for its turn on the bus
+
+
+@dataclass(frozen=True)
+class DriveSetup:
+    """What the group has to know of a drive before it says anything.
+
+    `velocity_unit`, `acceleration_unit`: of its motion objects [qc/s], [qc/s²].
+    """
+
+    joint: str
+    node_id: int
+    family: Family
+    velocity_unit: float
+    acceleration_unit: float
+    tpdos: tuple[PdoMapping, ...]
+
+
+class Drive:
+    """Reported state of one drive. Positions are counts; times are host µs."""
+
+    def __init__(self, setup: DriveSetup) -> None:
+        self.joint = setup.joint
+        self.node_id = setup.node_id
+        self.family = setup.family
+        self.velocity_unit = setup.velocity_unit
+        self.acceleration_unit = setup.acceleration_unit
+        self.operation = setup.family.rest_operation  # 0x6060, as it was last set
+        self.statusword = 0
+        self.statusword_us = -math.inf
+        self.active_us = -math.inf  # when bit 12 was last reported set
+        self.buffer_status = 0
+        self.position_qc: int | None = None
+        self.velocity = 0  # [velocity_unit]
+        self.sample_us = -math.inf  # when that was
+        self.current_ma: int | None = None
+        self.demand_qc: int | None = None
+        self.demand_us = -math.inf
+        self.following_error_qc: int | None = None
+        self.latched: int | None = None  # what its clock was at the last SYNC it answered [µs]
+        self.emergency = 0
+        self.heard_us = -math.inf
+        self.sync_us = -math.inf  # when the last SYNC was
+        self.asked_us = -math.inf  # when the last SDO request to it was on the bus
+        self.restarted = False
+        self.demand: Demand | None = None  # what it was last told to do; None: not known
+        self._layouts = {
+            mapping.cob_id + self.node_id: _Layout(setup.family, mapping) for mapping in setup.tpdos
+        }
+        self._event_us = -math.inf  # of the last statusword that came as an event
+
+    def __str__(self) -> str:
+        return f"{self.joint} (node {self.node_id})"
+
+    # What the drive says ---------------------------------------------------------------
+
+    @property
+    def pdo_bytes(self) -> Mapping[int, int]:
+        """By COB-ID, how long its PDOs are mapped."""
+        return {cob_id: layout.size for cob_id, layout in self._layouts.items()}
+
+    def on_pdo(self, cob_id: int, data: bytes, t_us: float) -> frozenset[tuple[int, int]]:
+        """A PDO of its own, of the right length; the objects it has reported.
+
+        A state sampled at a SYNC counts where it is at least as new as that of the last event.
+        """
+        layout = self._layouts[cob_id]
+        values = layout.read(data)
+        repeats = layout.synchronous and t_us <= self._event_us + SYNC_ANSWER_AGE_US
+        for name, value in values.items():
+            if name == "statusword":
+                if not repeats:
+                    self.report(value, t_us)
+            elif name != "buffer_status" or not repeats:
+                setattr(self, name, value)
+        if "statusword" in values and not layout.synchronous:
+            self._event_us = t_us
+        if "position_qc" in values:
+            self.sample_us = self.sync_us if layout.synchronous else t_us
+        layout.read_us = t_us
+        if "demand_qc" in values:
+            self.demand_us = t_us
+        return layout.objects
+
+    def measured_us(self, inhibit_us: float) -> float:
+        """The newest time at which it was at `position_qc`; -inf: it has not said yet.
+
+        A position that has changed is reported within the inhibit time. As long as the drive is
+        heard, one that was reported before is therefore where the axis still is: one that rests
+        or is blocked does not repeat it.
+        """
+        if self.position_qc is None:
+            return -math.inf
+        return max(self.sample_us, self.heard_us - HOLDS_PERIODS * inhibit_us)
+
+    def report(self, statusword: int, t_us: float) -> None:
+        """A statusword, from a PDO or read at bring-up."""
+        self.statusword = statusword
+        self.statusword_us = t_us
+        if statusword & cia402.OPERATION_MODE_SPECIFIC:
+            self.active_us = t_us
+
+    def on_emergency(self, data: bytes) -> int:
+        """Error code of the emergency; 0 says that all errors are gone."""
+        self.emergency = int(epos2.EMCY_LAYOUT.unpack(data)[0])
+        return self.emergency
+
+    def answered_since(self, t_us: float) -> bool:
+        """Whether it has answered a SYNC, with all it has to say at one."""
+        return all(layout.read_us > t_us for layout in self._layouts.values() if layout.synchronous)
+
+    @property
+    def powering_up(self) -> bool:
+        """Whether it is on its own way to "operation enabled"."""
+        return self.state is State.SWITCHED_ON and bool(self.statusword & self.family.power_up_bit)
+
+    @property
+    def state(self) -> State:
+        return cia402.state_of(self.statusword)
+
+    @property
+    def velocity_qc_s(self) -> float:
+        return self.velocity * self.velocity_unit
+
+    def trouble(self) -> str:
+        """What the drive complains of, in words; "" if nothing."""
+        words = []
+        if self.emergency:
+            words.append(self.family.describe_emergency(self.emergency))
+        if errors := epos2.describe_buffer_errors(self.buffer_status):
+            words.append(errors)
+        if not words and self.statusword & cia402.FAULT_BIT:
+            words.append(self.state.value)
+        return ": ".join(words)
+
+    # What the drive is told ------------------------------------------------------------
+
+    def controlword(self, value: int) -> Frame:
+        """RPDO4: takes effect at once."""
+        return Frame(epos2.RPDO4 + self.node_id, value.to_bytes(2, "little"))
+
+    def synchronous_controlword(self, value: int) -> Frame:
+        """RPDO2: takes effect at the next SYNC."""
+        return Frame(epos2.RPDO2 + self.node_id, value.to_bytes(2, "little"))
+
+    def time_stamp(self, stamp: int) -> Frame:
+        """RPDO3: when the last SYNC was."""
+        return Frame(epos2.RPDO3 + self.node_id, stamp.to_bytes(4, "little"))
+
+
+class _Layout:
+    """The bytes of one PDO."""
+
+    def __init__(self, family: Family, mapping: PdoMapping) -> None:
+        fields = [family.fields[key] for key in mapping.objects]
+        self.read_us = -math.inf
+        self.synchronous = mapping.transmission_type == SYNCHRONOUS
+        self.objects = frozenset(mapping.objects)
+        self._struct = struct.Struct("<" + "".join(field.code for field in fields))
+        self._names = [field.name for field in fields]
+
+    @property
+    def size(self) -> int:
+        return self._struct.size
+
+    def read(self, data: bytes) -> dict[str, int]:
+        return dict(zip(self._names, self._struct.unpack(data), strict=True))
+
+
+def names(drives: Iterable[Drive]) -> str:
+    """Drives in a line of text."""
+    return ", ".join(map(str, drives))

@@ -1,0 +1,44 @@
+"""What tells one maker's drives from another's, as data."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from epos2_ros.motion.units import AxisUnits
+from epos2_ros.protocol.pdo import PdoMapping
+
+
+class Field(NamedTuple):
+    """An object in a PDO: its `struct` code, and which attribute of a `Drive` it is."""
+
+    code: str
+    name: str
+
+
+@dataclass(frozen=True, eq=False)
+class Family:
+    """One maker's drives.
+
+    `rest_operation`: the mode of operation (0x6060) in which they stand, ready for a trajectory or
+    a move. `fields`: the objects that can come in PDOs.
+    """
+
+    key: str  # as in `axes.<joint>.drive`
+    name: str  # with its article
+    maker: str
+    vendor_id: int
+    eds: str  # in epos2_ros/eds
+    rpdos: tuple[PdoMapping, ...]
+    tpdos: tuple[PdoMapping, ...]
+    fields: Mapping[tuple[int, int], Field]
+    emergencies: Mapping[int, str]
+    rest_operation: int
+    motion_units: Callable[[AxisUnits], tuple[float, float]]  # velocity, acceleration [qc/s, …/s²]
+    has_clock: bool  # high resolution time stamp (0x1013): it can be kept in step with the others
+    power_up_bit: int = 0  # of the statusword: "switched on", on its own way to "operation enabled"
+
+    def describe_emergency(self, code: int) -> str:
+        """An emergency error code in words, with the number for the manual."""
+        return f"{self.emergencies.get(code, 'unknown emergency')} (0x{code:04X})"

@@ -1,0 +1,120 @@
+"""All of the protocol for one configuration: drives, clocks, modes, group, and who commands them.
+
+No I/O: frames and times go in, `out` says what is to be done. The same machine runs on a real bus,
+on simulated drives in simulated time, and over a log.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future
+from dataclasses import replace
+
+from epos2_ros.config import AxisConfig, DriverConfig
+from epos2_ros.errors import TrajectoryError
+from epos2_ros.motion.fit import FitAxis
+from epos2_ros.motion.move import moves
+from epos2_ros.motion.units import AxisUnits
+from epos2_ros.protocol import epos2
+from epos2_ros.protocol.drive import Drive, DriveSetup
+from epos2_ros.protocol.families import FAMILIES
+from epos2_ros.protocol.frame import Frame
+from epos2_ros.protocol.group import Group
+from epos2_ros.protocol.modes.interpolated import Interpolated
+from epos2_ros.protocol.modes.mode import Mode
+from epos2_ros.protocol.modes.profile import Profile
+from epos2_ros.protocol.outbox import Outbox
+from epos2_ros.protocol.path import PathCommander
+from epos2_ros.protocol.path_time import PathTime
+from epos2_ros.protocol.pvt.axis import PvtAxis
+from epos2_ros.protocol.pvt.buffer_reads import BufferReads
+from epos2_ros.protocol.pvt.feeder import Feeder
+from epos2_ros.protocol.pvt.path_audit import PathAudit
+from epos2_ros.protocol.timekeeper import Timekeeper
+
+
+class Machine:
+    """`fit_of(axis)`: what the search for records keeps of a drive's limits."""
+
+    def __init__(self, config: DriverConfig, fit_of: Callable[[AxisConfig], FitAxis]) -> None:
+        self.config = config
+        self.out = Outbox()
+        self.drives = [Drive(_setup(axis, config)) for axis in config.axes]
+        by_joint = {drive.joint: drive for drive in self.drives}
+        self.time = Timekeeper(
+            [drive for drive in self.drives if drive.family.has_clock],
+            len(self.drives),
+            config.sync_period * 1e6,
+            self.out.frames,
+            by_joint.get(config.sync_source),
+            by_joint.get(config.sync_producer),
+        )
+        self.path_time = PathTime(self.time.clock, config.sync_source == "host")
+        followers = [axis for axis in config.axes if axis.drive == epos2.FAMILY.key]
+        self.interpolated = self._interpolated(
+            [PvtAxis(by_joint[a.joint], fit_of(a), self._audit(fit_of(a))) for a in followers]
+        )
+        movers = [axis for axis in config.axes if axis not in followers]
+        self.movers = tuple(movers)
+        self.profile = Profile([by_joint[axis.joint] for axis in movers], self.out)
+        rest: dict[Drive, Mode] = {
+            drive: self.interpolated if drive in self.interpolated.drives else self.profile
+            for drive in self.drives
+        }
+        self.group = Group(rest, self.time, self.path_time, self.out)
+        self.path = PathCommander(
+            self.group, self.interpolated, replace(config, axes=tuple(followers))
+        )
+
+    def _audit(self, fit: FitAxis) -> PathAudit:
+        config = self.config
+        return PathAudit(fit.velocity_unit_qc_s, config.tolerance, config.sync_period * 1e6)
+
+    def _interpolated(self, axes: list[PvtAxis]) -> Interpolated:
+        config = self.config
+        buffer_time_ms = config.buffer_time * 1e3
+        feeder = Feeder(axes, buffer_time_ms, config.tolerance, config.smoothness)
+        reads = BufferReads(axes, buffer_time_ms)
+        return Interpolated(axes, feeder, reads, self.path_time, self.out)
+
+    # ------------------------------------------------------------------ frames and time
+
+    def receive(self, frame: Frame, t_us: float, echo: bool = False) -> None:
+        """Take in a frame from the bus; call `advance` afterwards."""
+        self.group.receive(frame, t_us, echo)
+
+    def advance(self, now_us: float) -> None:
+        """Do what is due at `now_us`; `deadline_us` says when that is wanted next."""
+        self.path.advance(now_us)
+        self.group.advance(now_us)
+
+    @property
+    def deadline_us(self) -> float:
+        return self.group.deadline_us
+
+    # ------------------------------------------------------------------ moves
+
+    def move_to(self, targets: Mapping[str, float], duration_s: float = 0.0) -> Future[object]:
+        """Start for these positions [unit], leaving and arriving together.
+
+        As fast as the slowest axis can, or in `duration_s` if that is longer. The future ends with
+        the motion. TrajectoryError for a joint that is not one of `movers`, a target outside the
+        limits, or axes that don't stand.
+        """
+        drives = {drive.joint: drive for drive in self.profile.drives}
+        standing = {joint: drive.position_qc for joint, drive in drives.items()}
+        together = moves(self.movers, standing, targets, duration_s)
+        if not self.group.standing:
+            raise TrajectoryError(f"can't move: the drives are {self.group.describe_phase()}")
+        self.profile.plan({drives[joint]: move for joint, move in together.items()})
+        self.group.begin([self.profile])
+        assert self.group.motion is not None
+        return self.group.motion  # type: ignore[return-value]
+
+
+def _setup(axis: AxisConfig, config: DriverConfig) -> DriveSetup:
+    family, units = FAMILIES[axis.drive], AxisUnits.of(axis)
+    velocity_unit, acceleration_unit = family.motion_units(units)
+    is_master = axis.joint == config.sync_source
+    tpdos = epos2.CLOCK_MASTER_TPDO_MAPPINGS if is_master else family.tpdos
+    return DriveSetup(axis.joint, axis.node_id, family, velocity_unit, acceleration_unit, tpdos)
