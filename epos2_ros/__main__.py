@@ -15,6 +15,7 @@ PROGRAMS = {
     "replay": ("epos2_ros.replay", "what happened on a bus, from the log of it; no bus"),
     "demo": ("epos2_ros.demo", "driver and simulated drives run a trajectory, with a report"),
 }
+GET = "rosdep install --from-paths src --ignore-src (see README.md), or pip install ."
 USAGE = f"usage: epos2_ros {{{','.join(PROGRAMS)}}} [ARGUMENT …]"
 HELP = "\n".join(
     [
@@ -43,12 +44,13 @@ def main(argv: list[str] | None = None) -> int:
     try:
         program = importlib.import_module(PROGRAMS[name][0])
     except ModuleNotFoundError as error:
-        if error.name != "rclpy":
+        missing = (error.name or "").partition(".")[0]
+        if missing in ("", "epos2_ros"):
             raise
-        print(
-            f"epos2_ros {name}: needs ROS 2: source its setup.bash, or pip install '.[ros]'",
-            file=sys.stderr,
-        )
+        problem = f"the Python package {missing} is missing: {GET}"
+        if missing == "rclpy":
+            problem = "needs ROS 2: source its setup.bash, or pip install '.[ros]'"
+        print(f"epos2_ros {name}: {problem}", file=sys.stderr)
         return 1
     status: int = program.main(arguments)
     return status

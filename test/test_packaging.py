@@ -13,6 +13,7 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from ament_index_python.packages import get_package_prefix, get_package_share_directory
@@ -22,6 +23,8 @@ from epos2_ros import __main__ as command
 ROOT = Path(__file__).resolve().parent.parent
 PROGRAMS = {"driver", "simulator", "scan", "check", "drive", "replay", "plan", "demo"}
 TIMEOUT_S = 100
+INSTALLED = Path(sys.executable).parent / "epos2_ros"
+INSTALLED_BEFORE = INSTALLED.exists()
 
 
 def run(*arguments: str | Path, **options: object) -> str:
@@ -49,8 +52,9 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def pip_prefix(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     prefix = tmp_path_factory.mktemp("pip")
+    # Without --ignore-installed pip would remove the package from the environment of the tests.
     pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-build-isolation"]
-    run(*pip, "--prefix", prefix, source)
+    run(*pip, "--ignore-installed", "--prefix", prefix, source)
     return prefix
 
 
@@ -95,16 +99,27 @@ def test_ament_index_and_ros2_run_find_the_package(
     executables = {
         path.name for path in (prefix / "lib" / "epos2_ros").iterdir() if os.access(path, os.X_OK)
     }
-    assert executables >= PROGRAMS
+    assert executables == PROGRAMS
+    assert os.access(prefix / "bin" / "epos2_ros", os.X_OK)
     share = Path(get_package_share_directory("epos2_ros"))
     for folder, pattern in (
         ("config", "*.yaml"),
         ("examples", "*.yaml"),
+        ("examples", "*.service"),
         ("launch", "*.launch.py"),
     ):
         ours = {path.name for path in (ROOT / folder).glob(pattern)}
         assert ours and {path.name for path in (share / folder).glob(pattern)} == ours
     assert (share / "package.xml").exists()
+
+
+def test_installing_elsewhere_leaves_the_environment_as_it_was(
+    pip_prefix: Path, tmp_path: Path
+) -> None:
+    """`.venv/bin/epos2_ros`, which the README names, is still there after the tests."""
+    if INSTALLED_BEFORE:
+        assert INSTALLED.exists()
+        assert "epos2_ros" in run(sys.executable, "-m", "pip", "show", "epos2_ros", cwd=tmp_path)
 
 
 @pytest.mark.parametrize("program", sorted(PROGRAMS))
@@ -113,7 +128,7 @@ def test_installed_program_starts(
 ) -> None:
     executable = prefix / "lib" / "epos2_ros" / program
     usage = run(executable, "--help", env=installed_env, cwd=tmp_path)
-    assert program in usage.splitlines()[0]
+    assert usage.startswith(f"usage: epos2_ros {program} [-h]")
 
 
 def test_package_data_is_installed_and_imported_from_there(
@@ -171,11 +186,69 @@ def test_launch_file_is_python() -> None:
     compile(path.read_text(), path, "exec")
 
 
-def test_launch_file_makes_a_description() -> None:
-    pytest.importorskip("launch_ros", reason="launch_ros comes with a ROS installation only")
-    description = runpy.run_path(str(ROOT / "launch" / "driver.launch.py"))
-    arguments = description["generate_launch_description"]().get_launch_arguments()
-    assert {argument.name for argument in arguments} == {"params_file"}
+class Told:
+    """Stands in for what `launch` and `launch_ros` have: it is called, and keeps with what."""
+
+    def __init__(self, *positional: Any, **named: Any) -> None:
+        self.positional, self.named = positional, named
+
+
+class Chosen(Told):
+    """LaunchConfiguration: the context says what it is."""
+
+    def perform(self, context: dict[str, str]) -> str:
+        return context[self.positional[0]]
+
+
+@pytest.fixture
+def description(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """What the launch file describes, to a `launch` that only listens (it is on no index)."""
+    parts = {
+        "launch": {"LaunchContext": dict, "LaunchDescription": Told},
+        "launch.actions": {"DeclareLaunchArgument": Told, "OpaqueFunction": Told},
+        "launch.substitutions": {"LaunchConfiguration": Chosen, "PathJoinSubstitution": Told},
+        "launch_ros.actions": {"LifecycleNode": Told},
+        "launch_ros.substitutions": {"FindPackageShare": Told},
+    }
+    monkeypatch.setitem(sys.modules, "launch_ros", SimpleNamespace())
+    for name, members in parts.items():
+        monkeypatch.setitem(sys.modules, name, SimpleNamespace(**members))
+    launch_file = runpy.run_path(str(ROOT / "launch" / "driver.launch.py"))
+    return launch_file["generate_launch_description"]()
+
+
+def launched(description: Any, **given: str) -> Any:
+    """The node that `ros2 launch` with these arguments starts."""
+    *arguments, action = description.positional[0]
+    defaults = {a.positional[0]: a.named["default_value"] for a in arguments}
+    (node,) = action.named["function"]({**defaults, **given})
+    return node
+
+
+def test_launch_arguments_reach_the_node(description: Any) -> None:
+    arguments = {argument.positional[0] for argument in description.positional[0][:-1]}
+    assert arguments == {"params_file", "namespace", "name", "use_sim_time", "log_level"}
+    file = str(ROOT / "config" / "can0.yaml")
+    node = launched(description, params_file=file)
+    assert (node.named["name"], node.named["namespace"]) == ("epos2_driver", "")
+    assert node.named["parameters"] == [file]
+    assert node.named["ros_arguments"] == ["--log-level", "epos2_driver:=info"]
+    node = launched(
+        description,
+        params_file=file,
+        namespace="/robot1",
+        name="arm",
+        use_sim_time="true",
+        log_level="debug",
+    )
+    assert (node.named["name"], node.named["namespace"]) == ("arm", "/robot1")
+    assert node.named["parameters"] == [file, {"use_sim_time": True}]
+    assert node.named["ros_arguments"] == ["--log-level", "robot1.arm:=debug"]
+
+
+def test_a_launch_with_a_file_that_is_not_there_is_refused(description: Any) -> None:
+    with pytest.raises(FileNotFoundError, match="params_file: there is no file /nonexistent.yaml"):
+        launched(description, params_file="/nonexistent.yaml")
 
 
 class TestManifest:
@@ -253,6 +326,20 @@ class TestCommand:
         monkeypatch.setattr(sys, "argv", ["epos2_ros", "driver", *arguments])
         assert command.main() == 7
         assert given == [arguments, arguments]
+
+    def test_a_missing_package_gives_one_line_that_says_how_to_get_it(
+        self, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        """A colcon workspace that was built before rosdep."""
+        monkeypatch.setitem(sys.modules, "canopen", None)
+        for name in [name for name in sys.modules if name.startswith("epos2_ros.node")]:
+            monkeypatch.delitem(sys.modules, name)
+        for name in [name for name in sys.modules if name.startswith("epos2_ros.bus")]:
+            monkeypatch.delitem(sys.modules, name)
+        assert command.main(["driver"]) == 1
+        error = capsys.readouterr().err
+        assert error.count("\n") == 1
+        assert "Python package canopen is missing" in error and "rosdep install" in error
 
     def test_missing_ros_gives_one_line_and_1(
         self, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
