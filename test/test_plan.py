@@ -589,6 +589,20 @@ class Page(HTMLParser):
             self.title += data.strip()
 
 
+def test_it_shows_how_a_first_point_at_a_later_time_is_joined(command):
+    """A first point at time 0 is where the robot is; one later is gone to from where it is."""
+    one = [{"positions": [0.5, 0.0], "time_from_start": {"sec": 2}}]
+    there = command("-", stdin=message(points=one))
+    assert "point 0 is, there until 2.000 s (joined from elsewhere with --start)" in there.out
+    joined = command("-", "--start", "0", "0", stdin=message(points=one))
+    assert "--start says, joined smoothly to point 0 at 2.000 s" in joined.out
+    low, high = map(float, joined.row("a")[3:5])
+    assert (low, high) == (0.0, pytest.approx(0.5, abs=0.002))
+    at_once = command("-", "--start", "0.1", "1", stdin=message())
+    assert (at_once.status, "joined" in at_once.out) == (1, False)
+    assert "rad away from where it is, allowed 0.01" in at_once.err
+
+
 def test_the_page_needs_nothing_else(command, tmp_path):
     (tmp_path / "<a&b>.yaml").write_text(message())
     ended = command("<a&b>.yaml", "--output", "plot.html")

@@ -72,6 +72,12 @@ def _plan(trajectory: Trajectory, name: str, arguments: argparse.Namespace) -> N
         return
     plan = make_plan(trajectory, config, _start(trajectory, arguments))
     where = "point 0 is" if arguments.start is None else "--start says"
+    if first_s := float(trajectory.times_s[0]):
+        where += (
+            f", there until {first_s:.3f} s (joined from elsewhere with --start)"
+            if arguments.start is None
+            else f", joined smoothly to point 0 at {first_s:.3f} s"
+        )
     stamp = "" if trajectory.stamp_s is None else "; header.stamp does not count here"
     heading = (
         f"{len(trajectory.times_s)} points, {trajectory.duration_s:.3f} s, "
