@@ -203,7 +203,7 @@ class TrajectoryAction:
             if goal.canceled:
                 pursuit.cancel()
             tracking = driver.track()
-            outcome = pursuit.look(tracking, time.monotonic())
+            outcome = pursuit.look(tracking)
             if outcome is not None:
                 return outcome
             if pursuit.stop_for and not stopped:

@@ -55,7 +55,7 @@ class Pursuit:
         self._tolerances = tolerances
         self._violation = ""
         self._canceled = False
-        self._arrived_s: float | None = None
+        self._arrived_us: float | None = None
 
     def cancel(self) -> None:
         """The client wants it to end."""
@@ -66,20 +66,18 @@ class Pursuit:
         """Why the axes are to stop on their path; "": they are not to."""
         return self._violation or ("the goal was canceled" if self._canceled else "")
 
-    def look(self, tracking: Tracking, now_s: float) -> Outcome | None:
+    def look(self, now: Tracking) -> Outcome | None:
         """How the axes are doing now; what it all ends with, once it does and they rest."""
         if self._execution.ended.done():
-            return self._end(tracking, now_s)
+            return self._end(now)
         if not self.stop_for:
-            off = self._tolerances.path.violation(
-                tracking.desired, tracking.position, tracking.velocity
-            )
+            off = self._tolerances.path.violation(now.desired, now.position, now.velocity)
             if off:
-                at_s = tracking.time_from_start_s(self._execution)
+                at_s = now.time_from_start_s(self._execution)
                 self._violation = f"off its path at {at_s:.3f} s: {off}"
         return None
 
-    def _end(self, tracking: Tracking, now_s: float) -> Outcome | None:
+    def _end(self, now: Tracking) -> Outcome | None:
         error = self._execution.ended.exception()
         if self._violation:
             return Outcome(Status.ABORTED, PATH_TOLERANCE_VIOLATED, self._violation)
@@ -87,22 +85,22 @@ class Pursuit:
             return Outcome(Status.CANCELED, SUCCESSFUL, f"canceled: {error or 'at its end'}")
         if error is not None:
             return Outcome(Status.ABORTED, INVALID_GOAL, str(error))
-        return self._settled(tracking, now_s)
+        return self._settled(now)
 
-    def _settled(self, tracking: Tracking, now_s: float) -> Outcome | None:
+    def _settled(self, now: Tracking) -> Outcome | None:
         """All axes have arrived: are they near enough to their goal by now?"""
-        if self._arrived_s is None:
-            self._arrived_s = now_s
-        if tracking.execution is not self._execution and self._tolerances.goal.any:
-            words = f"given up before it was within its goal tolerance: {tracking.state}"
+        goal = self._tolerances.goal
+        if self._arrived_us is None:
+            self._arrived_us = now.now_us
+        if now.execution is not self._execution and goal.any:
+            words = f"given up before it was within its goal tolerance: {now.state}"
             return Outcome(Status.ABORTED, INVALID_GOAL, words)
-        off = self._tolerances.goal.violation(
-            tracking.desired, tracking.position, tracking.velocity
-        )
+        off = goal.any and goal.violation(now.commanded(now.now_us), now.position, now.velocity)
         if not off:
             return Outcome(Status.SUCCEEDED, SUCCESSFUL, "")
-        waited_s = now_s - self._arrived_s
-        if waited_s < self._tolerances.goal_time_s:
+        waited_s = (now.now_us - self._arrived_us) / 1e6
+        # Nobody is blamed for a measurement that is older than the end.
+        if waited_s < self._tolerances.goal_time_s or now.measured_us.min() < self._arrived_us:
             return None
         words = f"not at its goal {waited_s:.3f} s after its end: {off}"
         return Outcome(Status.ABORTED, GOAL_TOLERANCE_VIOLATED, words)
