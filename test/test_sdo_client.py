@@ -211,3 +211,11 @@ def test_a_drive_that_falls_silent_in_bring_up_is_named() -> None:
     made.bus.drop = drop
     with pytest.raises(DriveError, match=r"joint_2 \(node 2\) stopped answering SDO requests"):
         made.bring_up()
+
+
+def test_the_time_for_setting_up_is_not_that_of_what_follows(monkeypatch):
+    """A buffer is cleared after every halt, however long ago the drive was set up."""
+    bench = Bench()
+    later = time.monotonic() + 3600.0
+    monkeypatch.setattr("epos2_ros.bus.sdo_access.time.monotonic", lambda: later)
+    bench.nodes[0].clear_buffer()

@@ -73,8 +73,11 @@ class Cia402Node:
 
         `inhibit_us`: by COB-ID, of the transmit PDOs that have an inhibit time.
         """
+        with self.objects.within(BRING_UP_LIMIT_S):
+            return self._configure(write_objects, inhibit_us or {})
+
+    def _configure(self, write_objects: Callable[[], None], inhibit_us: Mapping[int, int]) -> int:
         objects, family = self.objects, self._family
-        objects.limit(BRING_UP_LIMIT_S)
         self._check_identity()
         self._leave_operation()
         write_objects()
@@ -82,7 +85,7 @@ class Cia402Node:
         for mapping in family.rpdos:
             self._map(RECEIVE, mapping)
         for mapping in family.tpdos:
-            self._map(TRANSMIT, mapping, (inhibit_us or {}).get(mapping.cob_id))
+            self._map(TRANSMIT, mapping, inhibit_us.get(mapping.cob_id))
         self.node.nmt.send_command(0x01)  # operational
         return objects.read(epos2.STATUSWORD)
 

@@ -9,7 +9,8 @@ from __future__ import annotations
 import queue
 import struct
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import TypeVar
 
 import canopen
@@ -51,9 +52,14 @@ class SdoAccess:
         self._limit_s = 0.0
         self._deadline_s = float("inf")
 
-    def limit(self, seconds: float) -> None:
-        """What is attempted from now on has to be within this time; NoAnswer after it."""
+    @contextmanager
+    def within(self, seconds: float) -> Iterator[None]:
+        """What is attempted in here has to be within this time; NoAnswer after it."""
         self._limit_s, self._deadline_s = seconds, time.monotonic() + seconds
+        try:
+            yield
+        finally:
+            self._deadline_s = float("inf")
 
     def name(self, index: int, subindex: int = 0) -> str:
         """The object as its maker names it, with its number."""
