@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -21,7 +22,7 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.action import ActionClient
 from rclpy.context import Context
-from rclpy.executors import MultiThreadedExecutor
+from rclpy.executors import MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool, Trigger
@@ -70,7 +71,7 @@ class World:
         self.client = Node("client", context=self.context)
         self._executors = [
             MultiThreadedExecutor(EXECUTOR_THREADS, context=self.context),
-            MultiThreadedExecutor(4, context=self.context),
+            SingleThreadedExecutor(context=self.context),
         ]
         self._threads = []
         for executor, node in zip(self._executors, (self.node, self.client), strict=True):
@@ -118,6 +119,11 @@ class World:
         self.wait(future.done)
         return future.result()
 
+    def ask(self, question: Callable[..., Any], *arguments: Any) -> Any:
+        """A future of rclpy's action client, made in the thread that will get the answer: it may
+        come before rclpy has noted whose it is."""
+        return self.done(self._executors[1].create_task(question, *arguments))
+
     def call(self, kind: Any, name: str, request: Any) -> Any:
         client = self.client.create_client(kind, f"/epos2_driver/{name}")
         assert client.wait_for_service(WAIT_S)
@@ -157,19 +163,20 @@ class Pursued:
     def __init__(self, world: World, goal: FollowJointTrajectory.Goal) -> None:
         self.world = world
         self.feedback: list[FollowJointTrajectory.Feedback] = []
-        sent_s = time.monotonic()
         self.handle = world.done(
-            world.action.send_goal_async(goal, lambda m: self.feedback.append(m.feedback))
+            world.ask(
+                world.action.send_goal_async, goal, lambda m: self.feedback.append(m.feedback)
+            )
         )
-        self.answered_s = time.monotonic() - sent_s
-        self._result = self.handle.get_result_async() if self.handle.accepted else None
+        self._result = world.ask(self.handle.get_result_async) if self.handle.accepted else None
 
     @property
     def running(self) -> bool:
         return self._result is not None and not self._result.done()
 
     def cancel(self) -> None:
-        assert self.world.done(self.handle.cancel_goal_async()).goals_canceling
+        answer = self.world.done(self.world.ask(self.handle.cancel_goal_async))
+        assert answer.goals_canceling
 
     def ended(self) -> tuple[int, int, str]:
         """Status, error code and words."""
@@ -520,6 +527,23 @@ def test_a_fault_of_a_drive_is_told(world):
     assert "over-current" in said
 
 
+def test_goals_that_come_faster_than_they_can_be_run(world):
+    """Each takes over from the one before; the last one is reached, and nobody else waits."""
+    before = world.here
+    goals = [
+        FollowJointTrajectory.Goal(trajectory=trajectory([(1.5, before + [0.02 * n, 0.0])]))
+        for n in range(1, 16)
+    ]
+    answers = [world.ask(world.action.send_goal_async, goal) for goal in goals]
+    results = [world.ask(world.done(answer).get_result_async) for answer in answers]
+    ends = [world.done(result) for result in results]
+    assert ends[-1].status == GoalStatus.STATUS_SUCCEEDED
+    for end in ends[:-1]:
+        assert end.status == GoalStatus.STATUS_ABORTED
+        assert "another trajectory" in end.result.error_string
+    assert world.here == pytest.approx(before + [0.3, 0.0], abs=1e-3)
+
+
 # -- MoveIt ------------------------------------------------------------------------------------
 
 
@@ -662,3 +686,48 @@ def test_without_control_msgs_the_driver_runs(ros_env):
     assert ended.returncode == 0, ended.stderr
     assert "/epos2_driver/halt" in ended.stdout
     assert "query_state" not in ended.stdout
+
+
+def test_a_client_is_told_when_the_driver_is_ended(ros_env, ros_domain_id):
+    """Ctrl-C in the middle of a motion: the axes stop on their path, and then the goal ends."""
+    driver = subprocess.Popen(
+        [sys.executable, "-m", "epos2_ros", "driver", "--ros-args", "-p", "joints:=[a, b]"],
+        env=ros_env,
+    )
+    context = Context()
+    rclpy.init(args=[], context=context, domain_id=ros_domain_id)
+    node, executor = Node("client", context=context), SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    try:
+        name = "/epos2_driver/follow_joint_trajectory"
+        action = ActionClient(node, FollowJointTrajectory, name)
+        assert action.wait_for_server(START_S)
+        message = trajectory([(0.0, (0.0, 0.0)), (6.0, (20.0, -20.0))])
+        moving = threading.Event()
+        deadline = time.monotonic() + START_S
+        while True:  # until the driver has activated itself
+            answer = action.send_goal_async(
+                FollowJointTrajectory.Goal(trajectory=message),
+                lambda m: m.feedback.desired.time_from_start.sec and moving.set(),
+            )
+            executor.spin_until_future_complete(answer, WAIT_S)
+            if answer.result().accepted:
+                break
+            assert time.monotonic() < deadline
+            executor.spin_once(0.1)
+        result = answer.result().get_result_async()
+        while not moving.is_set():
+            executor.spin_once(0.1)
+            assert time.monotonic() < deadline
+        driver.send_signal(signal.SIGINT)
+        executor.spin_until_future_complete(result, WAIT_S)
+        assert result.done()
+        assert result.result().status == GoalStatus.STATUS_ABORTED
+        assert "stopped on the path" in result.result().result.error_string
+        assert driver.wait(WAIT_S) == 0
+    finally:
+        driver.kill()
+        driver.wait()
+        executor.shutdown()
+        node.destroy_node()
+        context.shutdown()
