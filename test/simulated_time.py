@@ -70,6 +70,7 @@ class Bench:
         self.nodes = [node_of(self.network, axis, self.config) for axis in self.config.axes]
         self.frames: list[tuple[float, Frame, bool]] = []  # all that was on the bus: time, echo
         self.events: list[Event] = []
+        self.on_event: Callable[[Event], object] = lambda event: None
         self._due_us = 0.0  # until when the bus runs on without the driver
         self._until: Callable[[], bool] = lambda: False
         if bring_up:
@@ -152,6 +153,8 @@ class Bench:
         while out.frames:
             self._push(out.frames.popleft())
         self.transmitter.pump(self.now_us)
+        for event in out.events:
+            self.on_event(event)
         self.events.extend(out.events)
         out.events.clear()
 
