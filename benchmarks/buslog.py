@@ -18,7 +18,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import FIRST_EXCEPTION, ProcessPoolExecutor, wait
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
@@ -31,6 +31,7 @@ from epos2_ros.bus.driver import Driver
 from epos2_ros.buslog.writer import earlier_files
 from epos2_ros.config import DriverConfig
 from epos2_ros.demo.child import Child
+from epos2_ros.motion import knots
 from epos2_ros.protocol.group import Phase
 from epos2_ros.protocol.outbox import Event
 
@@ -53,6 +54,7 @@ class Cost:
 def measure(file: Path | None, seconds: float) -> Cost:
     """Six axes in motion for so long; `file`: of the log."""
     sys.setswitchinterval(SWITCH_INTERVAL_S)
+    knots.prepare()
     events: list[Event] = []
     options = ["--slcan", "--nodes", f"1-{AXES}", "--drift-ppm", "50"]
     with Child("simulator", options, {}) as drives:
@@ -104,6 +106,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     ):
         file = Path(folder) / "run.asc"
         runs = [pool.submit(measure, log, chosen.seconds) for log in (None, file)]
+        for run in wait(runs, return_when=FIRST_EXCEPTION).done:
+            run.result()  # raises at once what one has met
         costs = [run.result() for run in runs]
         files = [file, *earlier_files(file)]
         size = sum(path.stat().st_size for path in files)

@@ -13,12 +13,16 @@ from hypothesis import strategies as st
 from simulated_time import axes
 
 from epos2_ros.bus.driver import Driver
-from epos2_ros.buslog import asc, plain, writer
+from epos2_ros.buslog import asc, inputs, plain, writer
 from epos2_ros.buslog.writer import LogWriter
 from epos2_ros.config import DriverConfig, HomingConfig
 from epos2_ros.errors import ConfigurationError
 from epos2_ros.files import read_parameters
 from epos2_ros.parameters import DriverParameters
+from epos2_ros.protocol.group import Group
+from epos2_ros.protocol.machine import Machine
+from epos2_ros.protocol.outbox import Outbox
+from epos2_ros.protocol.path import PathCommander
 from epos2_ros.sim import main as simulator
 
 BEGIN_US = 5e9
@@ -191,3 +195,28 @@ def test_a_configuration_of_another_version_has_defaults_and_unknown_names():
 def test_garbage_is_a_value_error(line):
     with pytest.raises(ValueError):
         asc.parse(line)
+
+
+INPUTS = {
+    Machine: {"receive", "advance", "move_to"},
+    Group: {*inputs.REQUESTS, *inputs.REPORTS},
+    PathCommander: {*inputs.TRAJECTORIES, *inputs.STOPS},
+    Outbox: {"answer"},
+}
+OTHERS = {  # they change nothing, or are called by what is in the log
+    Machine: {"deadline_us"},
+    Group: {
+        *("receive", "advance", "begin", "cancel", "go_on"),
+        *("describe_phase", "lost", "moving", "silent", "standing"),
+    },
+    PathCommander: {"advance", "cancel", "disable", "submit"},
+    Outbox: {"announce", "ask", "forget", "unanswered"},
+}
+
+
+@pytest.mark.parametrize("kind", [Machine, Group, PathCommander, Outbox])
+def test_whatever_reaches_the_protocol_from_outside_is_in_the_log(kind):
+    """A new method belongs into the log's inputs, or among those that need not be there."""
+    methods = {n for n, made in vars(kind).items() if callable(made) or isinstance(made, property)}
+    public = {name for name in methods if not name.startswith("_")}
+    assert public == INPUTS[kind] | OTHERS[kind]

@@ -270,11 +270,13 @@ class Driver:
             )
             try:
                 reference = placement.join()
+                if self._reactor.call(
+                    partial(self._commit, placement, reference, execution, stops)
+                ):
+                    return execution
             except TrajectoryError as error:
                 self._note("refused", str(error))
                 raise
-            if self._reactor.call(partial(self._commit, placement, reference, execution, stops)):
-                return execution
             lead_ms = round((now_us() - begun_us) / 500)  # twice as long as it took
 
     def cancel(self, execution: Execution, reason: str) -> None:
@@ -486,9 +488,14 @@ class Driver:
             self._log.event(now_us(), name, data)
 
     def _on_other(self, kind: str, can_id: int, data: bytes, t_us: float) -> None:
-        if kind in ("dropped", "fd"):
-            self._note(kind, [f"{can_id:03X}", data.hex()])
-        elif self._log is not None:
+        if self._log is None:
+            return
+        if kind == "dropped":
+            self._log.event(t_us, "rejected")  # the frame that follows
+            self._log.frame(t_us, can_id, data, False)
+        elif kind == "fd":
+            self._log.event(t_us, kind, [f"{can_id:03X}h", data.hex(" ")])
+        else:
             self._log.other(t_us, kind, can_id, data)
 
     def _cancel(self, execution: Execution, reason: str) -> None:

@@ -87,7 +87,7 @@ def other_line(t_s: float, kind: str, can_id: int, data: bytes) -> str:
 
 def event_line(t_s: float, name: str, data: Any = None) -> str:
     """An event; `data` is what JSON can hold."""
-    written = "" if data is None else f" {json.dumps(data, ensure_ascii=False)}"
+    written = "" if data is None else f" {json.dumps(data, ensure_ascii=False, default=str)}"
     return f"// @{t_s:.9f} {name}{written}\n"
 
 

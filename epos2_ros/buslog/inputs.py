@@ -4,11 +4,10 @@
 its own, and the times at which it was called make it do the same again. Here is the one table of
 those calls: `record` notes them while the driver runs, `Repeater` makes them again.
 
-Of the calls of `advance`, those are noted that did something or were due. Frames are the log's own
-lines.
+Frames are the log's own lines, and every call of `advance` has its place among them.
 
-A log that has lost its beginning can be entered where the axes stood: now and then, at a SYNC, the
-little is noted that a group at rest has to know. Its clock goes its own way from there.
+A log that has lost its beginning can be entered where the axes stood: now and then the numbers in a
+machine at rest are noted.
 """
 
 from __future__ import annotations
@@ -21,22 +20,24 @@ from typing import Any
 
 import numpy as np
 
+from epos2_ros.buslog.state import numbers_in, put_numbers
 from epos2_ros.buslog.writer import LogWriter
 from epos2_ros.errors import TrajectoryError
 from epos2_ros.motion.reference import Reference
 from epos2_ros.motion.trajectory import Trajectory
-from epos2_ros.protocol import epos2
-from epos2_ros.protocol.frame import Frame
+from epos2_ros.protocol.drive import Drive
 from epos2_ros.protocol.group import Phase
 from epos2_ros.protocol.machine import Machine
 from epos2_ros.protocol.path import Placement
 
+# Of the group, …
 REQUESTS = ("enable", "disable", "halt", "quick_stop", "reset_fault")
+REPORTS = ("start_clock", "reconfigured", "fail", "bus_failed")
+# … and of the path commander, whose other methods go by these.
+TRAJECTORIES = ("place", "commit")
 STOPS = ("stop", "drop_waiting")
-REPORTS = ("start_clock", "fail", "bus_failed")
 POINTS_PER_LINE = 50  # so few that making a line keeps no other thread waiting
-STATE_US = 5_000_000.0  # so often what a group at rest has to know is noted
-EARLY_US = 1_000.0  # so long before a SYNC is seen on the bus it may have been due
+STATE_US = 20_000_000.0  # so often the numbers of a machine at rest are noted
 AT_REST = (Phase.DISABLED, Phase.STANDING, Phase.FAULT)
 PLACEMENTS_KEPT = 16  # between being worked out and being committed
 
@@ -58,17 +59,12 @@ class _Recorder:
         self._log = log
         self._now_us = now_us
         self._inside = False  # a call of ours is running: what it calls is its own doing
-        self._phase = group.phase
-        self._sending = 0  # frames that waited to be sent before the call
-        self._due_us = -math.inf  # when `advance` was wanted
-        self._time_us: float | None = None  # when TIME was on the bus
         self._state_us = -math.inf  # when the group's state was noted
         self._last: Trajectory | None = None
         self._placed = 0
         self._placements: OrderedDict[int, Placement] = OrderedDict()
         for name in REQUESTS + REPORTS:
             self._watch(group, name, self._noting(name))
-        self._watch(group, "reconfigured", self._note_drive)
         self._watch(machine, "receive", self._note_frame)
         self._watch(machine, "advance", self._note_advance)
         self._watch(machine, "move_to", self._noting("move_to"))
@@ -84,8 +80,7 @@ class _Recorder:
         def call(*arguments: Any, **named: Any) -> Any:
             if self._inside:
                 return method(*arguments, **named)
-            self._inside, self._sending = True, len(self._machine.out.frames)
-            self._due_us = self._group.deadline_us
+            self._inside = True
             result: Any = None
             try:
                 result = method(*arguments, **named)
@@ -95,24 +90,23 @@ class _Recorder:
             finally:
                 self._inside = False
                 note((*arguments, *named.values()), result)
-                self._phase = self._group.phase
             return result
 
         setattr(target, name, call)
 
     def _noting(self, name: str) -> Note:
         def note(arguments: tuple[Any, ...], result: Any) -> None:
-            written = [a.hex() if isinstance(a, bytes) else a for a in arguments]
+            written = list(map(self._written, arguments))
             self._log.event(self._now_us(), name, written or None)
             if isinstance(result, Future) and name in REQUESTS:
                 result.add_done_callback(lambda answer: self._note_answer(name, answer))
 
         return note
 
-    def _note_drive(self, arguments: tuple[Any, ...], result: Any) -> None:
-        drive, *rest = arguments
-        written = [self._machine.drives.index(drive), *rest]
-        self._log.event(self._now_us(), "reconfigured", written)
+    def _written(self, argument: Any) -> Any:
+        if isinstance(argument, Drive):
+            return self._machine.drives.index(argument)
+        return argument.hex() if isinstance(argument, bytes) else argument
 
     def _note_answer(self, name: str, answer: Future[None]) -> None:
         error = None if answer.cancelled() else answer.exception()
@@ -121,35 +115,21 @@ class _Recorder:
     def _note_frame(self, arguments: tuple[Any, ...], result: Any) -> None:
         frame, t_us, echo = (*arguments, False)[:3]
         self._log.frame(t_us, frame.can_id, frame.data, echo)
-        if frame.can_id == epos2.TIME and echo:
-            self._time_us = t_us
-        elif frame.can_id == epos2.SYNC and t_us > self._state_us + STATE_US:
-            self._note_state(t_us)
-
-    def _note_state(self, t_us: float) -> None:
-        group = self._group
-        if group.phase in AT_REST and self._time_us is not None:
+        if t_us > self._state_us + STATE_US and self._at_rest:
             self._state_us = t_us
-            state = {
-                "phase": group.phase.value,
-                "reason": group.reason,
-                "requests": self._machine.out.count,
-                "now_us": t_us,
-                "time_us": self._time_us,
-                "statuswords": [drive.statusword for drive in group.drives],
-                "demands_qc": [drive.demand_qc for drive in group.drives],
-            }
-            self._log.event(t_us, "state", state)
+            state = {"phase": self._group.phase.value, "parts": numbers_in(self._machine)}
+            self._log.event(self._now_us(), "state", state)
+
+    @property
+    def _at_rest(self) -> bool:
+        group, out = self._group, self._machine.out
+        waiting = out.frames or out.requests or out.events or out.unanswered
+        return group.phase in AT_REST and group.time.running and not waiting
 
     def _note_advance(self, arguments: tuple[Any, ...], result: Any) -> None:
-        group, now_us = self._group, arguments[0]
-        data = {} if group.phase is self._phase else {"phase": group.phase.value}
-        if round(now_us, 3) != now_us:  # no host's clock, which counts nanoseconds
-            data["now_us"] = now_us
-        out = self._machine.out
-        sent = len(out.frames) > self._sending
-        if sent or out.requests or group.phase is not self._phase or now_us >= self._due_us:
-            self._log.event(now_us, "advance", data or None)
+        now_us = arguments[0]
+        exact = round(now_us, 3) == now_us  # as a host's clock is, which counts nanoseconds
+        self._log.event(now_us, "advance", None if exact else {"now_us": now_us})
 
     def _note_placement(self, arguments: tuple[Any, ...], result: Any) -> None:
         trajectory, stamp_us, now_us, lead_ms = (*arguments, 0)[:4]
@@ -203,6 +183,7 @@ class Repeater:
         self._path = machine.path
         self._pieces: list[dict[str, Any]] = []
         self._placements: dict[int, tuple[Placement, Reference]] = {}
+        self._refused: dict[int, str] = {}
 
     def event(self, t_us: float, name: str, data: Any) -> str:
         """Repeats one; in words, what came of it otherwise than it did, or "".
@@ -235,17 +216,9 @@ class Repeater:
         return ""
 
     def enter(self, state: dict[str, Any]) -> None:
-        """Put a group that has done nothing yet into the state that was noted at a SYNC."""
-        group, now_us = self._group, state["now_us"]
-        for index, statusword in enumerate(state["statuswords"]):
-            drive = group.drives[index]
-            group.reconfigured(drive, statusword, now_us)
-            drive.demand_qc = state["demands_qc"][index]
-        group.start_clock(now_us - EARLY_US, b"")
-        group.receive(Frame(epos2.TIME), state["time_us"], echo=True)
-        self._machine.out.frames.clear()
-        self._machine.out.count = state["requests"]
-        group.enter(Phase(state["phase"]), state["reason"])
+        """Put a machine that has done nothing yet into the state that was noted."""
+        self._group.phase = Phase(state["phase"])
+        put_numbers(self._machine, state["parts"])
 
     def _gather(self, piece: dict[str, Any]) -> None:
         if not piece["from"]:
@@ -272,12 +245,17 @@ class Repeater:
             raise ValueError("the trajectory is not in the log")
         try:
             placement = self._path.place(self.trajectory, stamp_us, now_us, lead_ms)
-            self._placements[number] = placement, placement.join()
         except TrajectoryError as error:
             return "" if refusal == str(error) else f"the trajectory would be refused: {error}"
-        return f"the trajectory was refused: {refusal}" if refusal else ""
+        try:
+            self._placements[number] = placement, placement.join()
+        except TrajectoryError as error:
+            self._refused[number] = str(error)  # as it was then, unless it is committed
+        return f"the trajectory was refused: {refusal}; now it would not be" if refusal else ""
 
     def _commit(self, number: int, done: bool | str) -> str:
+        if number in self._refused:
+            return f"the trajectory would be refused: {self._refused.pop(number)}"
         if number not in self._placements:
             return ""  # said when it was placed
         try:

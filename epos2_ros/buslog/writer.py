@@ -149,7 +149,7 @@ class LogWriter:
             self._out.flush()
 
     def _line(self, line: str) -> None:
-        written = line.encode()
+        written = line.encode("utf-8", "replace")
         self._written += len(written)
         if self._out is not None:
             self._out.write(written)

@@ -394,12 +394,6 @@ class Group:
         self._heard(drive, now_us)
         drive.report(statusword, now_us)
 
-    def enter(self, phase: Phase, reason: str) -> None:
-        """Be in a phase of rest (disabled, standing, fault) that is known from elsewhere."""
-        self.phase, self.reason = phase, reason
-        self._faulted = phase is Phase.FAULT
-        self._moved = phase is not Phase.STANDING
-
     def fail(self, reason: str) -> None:
         """Something is wrong that no drive says: stop all, and be in fault."""
         if self.phase in IN_MOTION:

@@ -22,6 +22,7 @@ from epos2_ros.protocol import cia402, epos2
 from epos2_ros.protocol.clock import wrapped
 from epos2_ros.protocol.epos2 import BUFFER_SIZE
 from epos2_ros.replay.decode import Key, Meaning, Pdo, Sdo, Sync, Time
+from epos2_ros.replay.sdo import Transfer
 from epos2_ros.replay.timeline import Told
 
 SAMPLE_MS = 1.5  # a drive reports a demand that it had within this of the SYNC
@@ -30,7 +31,7 @@ Series = list[tuple[float, float]]  # time in the log [s], value
 _DEMAND: Key = (epos2.POSITION_DEMAND, 0)
 _ACTUAL: Key = (epos2.POSITION_ACTUAL, 0)
 _FOLLOWING: Key = (epos2.FOLLOWING_ERROR_ACTUAL, 0)
-_FREE: Key = (epos2.INTERPOLATION_DATA_CONFIGURATION, 2)
+_FREE: Key = (epos2.INTERPOLATION_DATA_CONFIGURATION, epos2.ACTUAL_BUFFER_SUBINDEX)
 _CLEAR: Key = (epos2.INTERPOLATION_DATA_CONFIGURATION, epos2.BUFFER_CLEAR_SUBINDEX)
 _STAMP: Key = (epos2.HIGH_RESOLUTION_TIME_STAMP, 0)
 _STATUSWORD: Key = (epos2.STATUSWORD, 0)
@@ -142,9 +143,8 @@ class History:
                     self._on_sync(t_s)
                 case Time():
                     self._compare_clocks()
-                case Sdo(transfer) if transfer.write and transfer.abort is None:
-                    if (transfer.entry, transfer.subindex) == _CLEAR:
-                        self._begin(self._axis(transfer.node))
+                case Sdo(transfer) if transfer.abort is None:
+                    self._transferred(t_s, transfer)
                 case Pdo():
                     axis = self._axis(meaning.node)
                     if meaning.transmit:
@@ -180,6 +180,13 @@ class History:
         for axis, offset_us in apart.items():
             axis.offset.append((self._sync_s, offset_us - middle))
             axis.latched = None
+
+    def _transferred(self, t_s: float, transfer: Transfer) -> None:
+        axis, key = self._axis(transfer.node), (transfer.entry, transfer.subindex)
+        if transfer.write and key == _CLEAR:
+            self._begin(axis)
+        elif not transfer.write and key == _FREE and transfer.data:
+            axis.reported.append((t_s, float(BUFFER_SIZE - _unsigned(transfer.data))))
 
     @staticmethod
     def _begin(axis: AxisHistory) -> None:

@@ -39,8 +39,7 @@ class Objects:
 
     def __init__(self, config: DriverConfig | None = None) -> None:
         self._families = {
-            axis.node_id: FAMILIES[axis.drive]
-            for axis in (config.axes if config else ())
+            axis.node_id: FAMILIES[axis.drive] for axis in (config.axes if config else ())
         }
 
     def learn(self, transfer: Transfer) -> None:

@@ -1,13 +1,14 @@
 """Any log of a CAN bus as lines in order, as far as it can be read.
 
 A log of the driver's is read here, since its events are comments to everybody else; other formats
-by python-can. Whatever is wrong with a file is counted and becomes one line in `complaints`; only
-a file in which there is nothing to be read raises.
+by python-can. Whatever is wrong with a file is counted and becomes one line in `complaints`, and an
+event `unreadable` in its place; only a file in which there is nothing to be read raises.
 """
 
 from __future__ import annotations
 
 import gzip
+import math
 import re
 from collections.abc import Iterator
 from itertools import chain
@@ -73,7 +74,7 @@ class LogReader:
             yield from self._asc(file) if _is_asc(file) else self._foreign(file)
 
     def _asc(self, file: Path) -> Iterator[Line]:
-        base, garbage, first, cut = 16, 0, 0, False
+        base, garbage, first, cut, last_s = 16, 0, 0, False, math.nan
         with _opened(file) as lines:
             for number, line in enumerate(_until_broken(lines), start=1):
                 try:
@@ -81,10 +82,13 @@ class LogReader:
                 except ValueError:
                     if line.endswith("\n"):
                         garbage, first = garbage + 1, first or number
+                        if not math.isnan(last_s):
+                            yield EventLine(last_s, "unreadable", {"line": number})
                     else:
                         cut = True
                     continue
                 if parsed is not None:
+                    last_s = parsed.t_s
                     yield parsed
                 elif said := _BASE.match(line):
                     base = 10 if said[1].lower() == "dec" else 16

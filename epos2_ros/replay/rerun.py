@@ -7,11 +7,11 @@ the protocol layer.
 
 A frame counts by its COB-ID and its place among those; where one is queued behind others on the
 bus does not matter. A log whose beginning or middle is lost is entered where the axes next stand.
-From there SYNC, heartbeats and time stamps are not compared: their clock began before.
 """
 
 from __future__ import annotations
 
+import math
 from collections import Counter, deque
 from collections.abc import Iterator
 from typing import Any
@@ -29,7 +29,10 @@ from epos2_ros.replay.timeline import Told
 
 STAMP_TOLERANCE_US = 1  # of a high resolution time stamp, which is rounded to this
 PATIENCE_US = 1_000_000.0  # a frame that would be sent and was not for so long is told
-EVENTS = ("started", "done", "aborted", "fault")
+ON_THE_WAY_S = 0.1  # a frame that had been sent is on the bus by then
+EVENTS = frozenset(
+    {"waiting", "started", "replaced", "stopped", "cancelled", "done", "aborted", "fault"}
+)
 _LENGTHS = {epos2.RPDO1: 8, epos2.RPDO2: 2, epos2.RPDO3: 4, epos2.RPDO4: 2}
 
 
@@ -43,14 +46,16 @@ class Rerun:
     def __init__(self, config: DriverConfig, host_us: float, whole: bool = True) -> None:
         self._config = config
         self._host_us = host_us
-        self._running = self._whole = whole
+        self._running = whole
+        self._rejected = False  # the next frame did not reach the protocol
+        self._entered_s = -math.inf  # when the log was entered after its beginning
         self._told: set[int] = set()  # COB-IDs whose first difference in this motion was told
         self.compared = 0
         self.differing: Counter[str] = Counter()
         self._begin()
 
     def _begin(self) -> None:
-        """A group that has done nothing yet."""
+        """A machine that has done nothing yet."""
         self._machine = machine_of(self._config)
         self._group = self._machine.group
         self._names = {drive.node_id: str(drive) for drive in self._machine.drives}
@@ -65,7 +70,8 @@ class Rerun:
 
     def frame(self, line: FrameLine) -> Iterator[Told]:
         """A frame that was received, or that the driver's adapter gave back."""
-        if line.kind != "data" or not self._running:
+        rejected, self._rejected = self._rejected, False
+        if line.kind != "data" or rejected or not self._running:
             return
         if line.sent and self._is_ours(line.can_id):
             yield from self._compare(line)
@@ -80,8 +86,10 @@ class Rerun:
     def event(self, line: EventLine) -> Iterator[Told]:
         """Something that the driver was asked, or said."""
         t_s, name, data = line
-        if name == "dropped":
-            yield self._leave(t_s, "entries are missing")
+        self._rejected |= name == "rejected"
+        if name in ("dropped", "unreadable"):
+            if self._running:
+                yield self._leave(t_s, "something is missing in it")
         elif not self._running and name == "state":
             yield from self._enter(t_s, data)
         elif self._running and name in EVENTS:
@@ -93,13 +101,12 @@ class Rerun:
         """What the comparison came to."""
         if not self.compared:
             return "nothing that the driver sent could be compared with what it would send now"
-        frames = "frames" if self._whole else "records and controlwords"
         if not self.differing:
-            return f"all {self.compared} {frames} that the driver sent are what it would send now"
+            return f"all {self.compared} frames that the driver sent are what it would send now"
         count = sum(self.differing.values())
         which = ", ".join(f"{count} × {what}" for what, count in self.differing.most_common())
         return (
-            f"of {self.compared} {frames} that the driver sent, "
+            f"of {self.compared} frames that the driver sent, "
             f"{count} are not what it would send now: {which}"
         )
 
@@ -128,23 +135,21 @@ class Rerun:
         except Exception as error:  # whatever a log holds, the timeline goes on
             yield self._give_up(t_s, error)
             return
-        self._running, self._whole, self._phase = True, False, self._group.phase
+        self._running, self._phase, self._entered_s = True, self._group.phase, t_s
         text = f"from here on the protocol is run over the log; group: {self._phase.value}"
         yield Told(t_s, None, text)
 
     def _is_ours(self, can_id: int) -> bool:
-        function = can_id & 0x780
         if can_id in (epos2.SYNC, epos2.TIME, epos2.HEARTBEAT + HOST_NODE_ID):
-            return self._whole
-        ours = function in _LENGTHS and can_id & 0x7F in self._names
-        return ours and (self._whole or function != epos2.RPDO3)
+            return True
+        return can_id & 0x780 in _LENGTHS and can_id & 0x7F in self._names
 
     def _gather(self, t_s: float) -> Iterator[Told]:
         """What the group has made of it."""
         group, out = self._group, self._machine.out
         while out.frames:
             frame = out.frames.popleft()
-            if self._bus_works and self._is_ours(frame.can_id):
+            if self._bus_works:
                 self._expected.setdefault(frame.can_id, deque()).append((t_s, frame.data))
         out.requests.clear()  # the log has the answers
         while out.events:
@@ -159,9 +164,11 @@ class Rerun:
             yield Told(t_s, None, text)
 
     def _compare(self, line: FrameLine) -> Iterator[Told]:
-        self.compared += 1
         waiting = self._expected.setdefault(line.can_id, deque())
         place = next((n for n, (_, data) in enumerate(waiting) if self._alike(line, data)), None)
+        if place is None and line.t_s < self._entered_s + ON_THE_WAY_S:
+            return  # it was on its way when the log was entered
+        self.compared += 1
         if place is not None:
             for due_s, data in [waiting.popleft() for _ in range(place + 1)][:-1]:
                 yield from self._missing(due_s, line.can_id, data)

@@ -35,6 +35,7 @@ HOST_NODE = 127
 _STATUSWORD: Key = (epos2.STATUSWORD, 0)
 _CONTROLWORD: Key = (epos2.CONTROLWORD, 0)
 _FLAGS: Key = (epos2.INTERPOLATION_STATUS, 1)
+_FREE: Key = (epos2.INTERPOLATION_DATA_CONFIGURATION, epos2.ACTUAL_BUFFER_SUBINDEX)
 _RECORD: Key = (epos2.INTERPOLATION_DATA_RECORD, 0)
 _TIME_FIELD = 7  # of a record: 0 ends the motion
 _TOLD_FLAGS = ~(epos2.BufferStatus.IP_MODE_ACTIVE | epos2.BufferStatus.BUFFER_ENABLED)
@@ -52,8 +53,13 @@ _SAID = {
     "bus_failed": "the bus failed",
     "configure_failed": "configure failed",
     "refused": "trajectory refused",
+    "rejected": "the frame that comes now is none that the driver takes",
+    "fd": "a CAN FD frame",
 }
-_SILENT = {"log", "clocks", "advance", "points", "continued", "commit", "start_clock", "state"}
+_SILENT = frozenset(
+    {"log", "clocks", "advance", "points", "continued", "commit", "start_clock", "state"}
+    | {"drop_waiting"}
+)
 
 
 class Told(NamedTuple):
@@ -138,7 +144,7 @@ class Timeline:
                 yield from self._heard(t_s, transfer.node)
                 self._mode(transfer)
                 plain = transfer.abort is None and not transfer.unanswered
-                if not (plain and self._brief):
+                if not plain or not (self._brief or _again_and_again(transfer)):
                     yield Told(t_s, transfer.node, f"SDO: {self._objects.transfer(transfer)}")
             case Pdo():
                 yield from self._pdo(t_s, meaning)
@@ -283,18 +289,17 @@ class Timeline:
                 what = _REQUESTS.get(what, what)
                 return f"{what} failed: {error}" if error else f"{what}: done"
             case "place", [_, stamp, now, _, str(refusal)]:
-                when = (
-                    "at once" if stamp is None else f"in {(stamp - now) / 1e6:.3f} s by its stamp"
-                )
-                return (
-                    f"trajectory refused: {refusal}"
-                    if refusal
-                    else f"trajectory{self._trajectory}, {when}"
-                )
+                if refusal:
+                    return f"trajectory refused: {refusal}"
+                return f"trajectory{self._trajectory}, {_when(stamp, now)}"
             case "reconfigured", [_, int(statusword), *_]:
                 return f"brought up, {cia402.state_of(statusword).value}"
             case "sdo", [_, _, str(error)] if error:
                 return f"an SDO request came to nothing: {error}"
+            case "unreadable", {"line": int(number)}:
+                return f"line {number} of the log can't be read"
+            case "move_to", [dict(targets), *_]:
+                return f"asked to move {', '.join(f'{j} to {p:.6g}' for j, p in targets.items())}"
             case "dropped", {"entries": int(entries)}:
                 return f"{entries} entries are missing here: the disk was too slow for the log"
             case "output", {"name": str(output), "position": position}:
@@ -309,6 +314,21 @@ class Timeline:
             if count > 1:
                 what = "error frames" if kind == "error" else f"{kind} frames {can_id:03X}h"
                 yield Told(t_s, None, f"{count} {what} in all that nothing explains")
+
+
+def _again_and_again(transfer: Transfer) -> bool:
+    """Whether it is a question that the driver repeats while the axes move."""
+    return not transfer.write and (transfer.entry, transfer.subindex) == _FREE
+
+
+def _when(stamp_us: float | None, now_us: float) -> str:
+    """When a trajectory is to begin."""
+    if stamp_us is None:
+        return "at once"
+    ahead_s = (stamp_us - now_us) / 1e6
+    if ahead_s < 0:
+        return f"by its stamp {-ahead_s:.3f} s under way"
+    return f"by its stamp in {ahead_s:.3f} s"
 
 
 def _number(data: bytes) -> int:
