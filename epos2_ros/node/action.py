@@ -198,6 +198,7 @@ class TrajectoryAction:
             return refused(error)
         execution.ended.add_done_callback(lambda ended: goal.news.set())
         pursuit, stopped = Pursuit(execution, goal.tolerances), False
+        due_s = time.monotonic()
         while True:
             goal.news.clear()
             if goal.canceled:
@@ -209,8 +210,10 @@ class TrajectoryAction:
             if pursuit.stop_for and not stopped:
                 driver.cancel(execution, pursuit.stop_for)
                 stopped = True
-            goal.handle.publish_feedback(self._feedback(tracking, execution))
-            goal.news.wait(self._period_s)
+            if time.monotonic() >= due_s:
+                goal.handle.publish_feedback(self._feedback(tracking, execution))
+                due_s = max(due_s + self._period_s, time.monotonic())
+            goal.news.wait(due_s - time.monotonic())
 
     def _tell(
         self, goal: _Goal, outcome: Outcome, handle: ServerGoalHandle
