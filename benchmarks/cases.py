@@ -84,7 +84,8 @@ class Case:
         return fit(self.fitter(tolerance_qc, smoothness), self.reference, self.start_qc)
 
     def fitter(self, tolerance_qc: float, smoothness: float = SMOOTHNESS) -> Fitter:
-        fits = [fit_axis(axis) for axis in self.configs]
+        config = DriverConfig(self.configs, tolerance=tolerance_qc)
+        fits = [fit_axis(axis, config) for axis in self.configs]
         return Fitter(fits, tolerance_qc, MAX_SEGMENT_MS, smoothness=smoothness)
 
 

@@ -13,7 +13,7 @@ from planners import from_ruckig, from_toppra
 from trajectories import axes_of, curve_of, from_rest
 
 from epos2_ros.bus.settings import fit_axis
-from epos2_ros.config import AxisConfig
+from epos2_ros.config import AxisConfig, DriverConfig
 from epos2_ros.motion.fit import Fitter
 from epos2_ros.motion.limits import extremes
 from epos2_ros.motion.pvt import executed, segments
@@ -61,7 +61,8 @@ def test_planned_motions(
     trajectory = from_zero(plan(seed))
     axes = limited_axes(trajectory)
     reference = from_rest(trajectory, axes)
-    fits = [fit_axis(axis) for axis in axes]
+    config = DriverConfig(axes, tolerance=tolerance)
+    fits = [fit_axis(axis, config) for axis in axes]
     fitter = Fitter(fits, tolerance, longest)
     fitter.begin(reference, [0] * len(axes))
     k = np.arange(reference.end_ms + 1)

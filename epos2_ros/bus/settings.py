@@ -9,14 +9,22 @@ from epos2_ros.config import AxisConfig, DriverConfig
 from epos2_ros.motion.fit import FitAxis
 from epos2_ros.motion.units import AxisUnits, drive_limits
 from epos2_ros.protocol.machine import Machine
+from epos2_ros.protocol.pvt.feeder import MIN_RECORDS_AHEAD, STREAM_AHEAD_MS
 
 VELOCITY_HEADROOM = 1.05
 ACCELERATION_HEADROOM = 1.25
 """A drive faults at the joint's limit times this and warns halfway there: cubics between rounded
 knots overshoot a commanded curve that runs along its limit. The commanded curve itself is held
 to the limit exactly, before anything is sent."""
-ROUNDING_S = 0.02
-"""Acceleration has a velocity unit within this time on top: a knot's velocity is rounded."""
+ROUNDING_S = STREAM_AHEAD_MS // MIN_RECORDS_AHEAD / 1000
+"""What rounding takes comes on top. Knots are whole counts and whole velocity units, and a segment
+of a stream, the shortest there are, lasts this long at most. Within it an axis that creeps has to
+be able to go on by a count, from rest to rest (1.5 counts per this time of velocity, 6 per its
+square of acceleration), or to become a velocity unit faster."""
+_SWAY = 4
+"""Where a unit is coarse, that takes less time: between two velocities next to the commanded one a
+cubic is off by up to an eighth of a unit times its duration; a duration of so many tolerances per
+unit leaves half a tolerance for rounded positions."""
 
 
 def drive_settings(axis: AxisConfig, config: DriverConfig) -> Epos2Settings:
@@ -32,10 +40,10 @@ def drive_settings(axis: AxisConfig, config: DriverConfig) -> Epos2Settings:
         max_following_error_qc=axis.max_following_error,
         min_position_qc=limits.min_position,
         max_position_qc=limits.max_position,
-        max_velocity=_velocity(axis, units, VELOCITY_HEADROOM),
-        warning_velocity=_velocity(axis, units, (1 + VELOCITY_HEADROOM) / 2),
-        max_acceleration_rpm_s=_acceleration(axis, units, ACCELERATION_HEADROOM),
-        warning_acceleration_rpm_s=_acceleration(axis, units, (1 + ACCELERATION_HEADROOM) / 2),
+        max_velocity=_velocity(axis, config, VELOCITY_HEADROOM),
+        warning_velocity=_velocity(axis, config, (1 + VELOCITY_HEADROOM) / 2),
+        max_acceleration_rpm_s=_acceleration(axis, config, ACCELERATION_HEADROOM),
+        warning_acceleration_rpm_s=_acceleration(axis, config, (1 + ACCELERATION_HEADROOM) / 2),
         stop_deceleration_rpm_s=(
             None if stop is None else units.acceleration_object(stop, "stop_deceleration")
         ),
@@ -45,20 +53,23 @@ def drive_settings(axis: AxisConfig, config: DriverConfig) -> Epos2Settings:
     )
 
 
-def fit_axis(axis: AxisConfig) -> FitAxis:
+def fit_axis(axis: AxisConfig, config: DriverConfig) -> FitAxis:
     """What the search for records has to keep: what the drive enforces."""
     units = AxisUnits.of(axis)
-    acceleration = _acceleration(axis, units, ACCELERATION_HEADROOM)
+    acceleration = _acceleration(axis, config, ACCELERATION_HEADROOM)
+    most = math.inf if acceleration is None else acceleration / 60 * axis.counts_per_turn
+    commanded = abs(units.to_qc_s(axis.max_acceleration or 0.0))
     return FitAxis(
         units.velocity_unit_qc_s,
-        _velocity(axis, units, VELOCITY_HEADROOM) * units.velocity_unit_qc_s,
-        math.inf if acceleration is None else acceleration / 60 * axis.counts_per_turn,
+        _velocity(axis, config, VELOCITY_HEADROOM) * units.velocity_unit_qc_s,
+        most,
+        most - commanded,
     )
 
 
 def machine_of(config: DriverConfig) -> Machine:
     """The protocol of all axes."""
-    return Machine(config, fit_axis)
+    return Machine(config, lambda axis: fit_axis(axis, config))
 
 
 def _index(config: DriverConfig, joint: str) -> int | None:
@@ -66,16 +77,27 @@ def _index(config: DriverConfig, joint: str) -> int | None:
     return None if joint == "host" else [axis.joint for axis in config.axes].index(joint)
 
 
-def _velocity(axis: AxisConfig, units: AxisUnits, headroom: float) -> int:
+def _velocity(axis: AxisConfig, config: DriverConfig, headroom: float) -> int:
     """0x607F, 0x6081 [velocity units]; without a limit what the drive can hold."""
+    units = AxisUnits.of(axis)
     most = units.velocity_range
-    limit = most if axis.max_velocity is None else min(axis.max_velocity * headroom, most)
-    return units.velocity_object(limit)
+    if axis.max_velocity is None:
+        return units.velocity_object(most)
+    rounding = 1.5 / _rounding_s(units, config) / abs(units.qc_per_unit)
+    return units.velocity_object(min(axis.max_velocity * headroom + rounding, most))
 
 
-def _acceleration(axis: AxisConfig, units: AxisUnits, headroom: float) -> int | None:
+def _acceleration(axis: AxisConfig, config: DriverConfig, headroom: float) -> int | None:
     """0x60C5, 0x6083 [rpm/s]; None leaves the drive's."""
     if axis.max_acceleration is None:
         return None
-    rounding = abs(units.from_velocity_units(1.0)) / ROUNDING_S
+    units = AxisUnits.of(axis)
+    within_s = _rounding_s(units, config)
+    rounding_qc_s2 = units.velocity_unit_qc_s / within_s + 6 / within_s**2
+    rounding = rounding_qc_s2 / abs(units.qc_per_unit)
     return units.acceleration_object(axis.max_acceleration * headroom + rounding)
+
+
+def _rounding_s(units: AxisUnits, config: DriverConfig) -> float:
+    """The time within which what rounding takes has to be made up for."""
+    return min(ROUNDING_S, _SWAY * config.tolerance / units.velocity_unit_qc_s)

@@ -43,6 +43,7 @@ class FitAxis:
     velocity_unit_qc_s: float  # one drive velocity unit
     max_velocity_qc_s: float = inf  # 0x607F
     max_acceleration_qc_s2: float = inf  # 0x60C5
+    spare_acceleration_qc_s2: float = inf  # what this leaves beside any commanded acceleration
 
 
 class Fitter:
@@ -82,6 +83,7 @@ class Fitter:
                     axis.max_acceleration_qc_s2 * 1e-6,
                     max(smoothness, 1e-6),
                     max_segment_ms,
+                    min(axis.spare_acceleration_qc_s2 * 1e-6, 1e9),
                 )
             )
             for axis in axes
@@ -129,9 +131,6 @@ class Fitter:
         if samples is None or self._ended[axis]:
             return None
         k = int(plan[0])
-        if k >= samples.end_ms:
-            self._ended[axis] = True
-            return Record(int(plan[1]), 0, 0)
         looked_at = k + knots.looked_at(self.max_segment_ms)
         if looked_at > samples.last_ms:
             earliest = min(int(plan[0]) for plan in self._plans)
@@ -141,6 +140,9 @@ class Fitter:
         time = knots.advance(
             positions, bends, samples.first_ms, samples.end_ms, self._aims[axis], plan
         )
+        if time < 0:
+            self._ended[axis] = True
+            return Record(int(plan[1]), 0, 0)
         if time == 0:
             raise TrajectoryError(
                 f"no segment from {k} ms on stays within {self._tolerance_qc:g} qc "
@@ -167,7 +169,7 @@ class _Samples:
         positions = np.empty((known.shape[0], last_ms + 1 - earliest_ms))
         have = known.shape[1]
         positions[:, :have] = known
-        moving = min(max(have, self.end_ms + 1 - earliest_ms), positions.shape[1])
+        moving = min(max(have, self.end_ms + 1 - earliest_ms, 1), positions.shape[1])
         for at in range(have, moving, self._block):
             k = np.arange(at, min(at + self._block, moving))
             positions[:, k[0] : k[-1] + 1] = self._reference.positions(k + earliest_ms).T

@@ -27,8 +27,12 @@ The search looks at the windows of a few milliseconds of a segment only; a segme
 the exact check, at every millisecond and with the drive's limits, passes.
 
 When an axis comes to rest for at least a longest segment, the search ends where the rest begins,
-as if it were the end of the motion, and the rest is kept exactly. Where a way on leads nowhere
-because of a drive's limits, the search goes back to the committed knot and on in smaller steps.
+as if it were the end of the motion, and the rest is kept exactly.
+
+What is committed must lead on whatever the commanded curve is replaced by. So a deviation at a
+knot may grow no faster than the acceleration that a drive's limits leave can turn it before the
+tolerance. Where the ways found lead nowhere all the same, the search goes back to the committed
+knot, and by dynamic programming over a grid of times along knots next to the commanded curve.
 
 Units: ms, qc, qc/ms; velocities of knots are whole drive velocity units.
 
@@ -41,7 +45,7 @@ from __future__ import annotations
 
 import pathlib
 from collections.abc import Callable, Iterable
-from math import ceil, floor, inf
+from math import ceil, floor, inf, sqrt
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -118,6 +122,13 @@ _AHEAD = (4, 10, 18, 28, 40, 54, 70, 88, 108, 130, 154, 180, 208, 238, 255)  # l
 _STRIDE = 8  # ms between shorter ends; where a class begins, all in between are tried, too
 _MOVES = 10  # milliseconds a knot may be moved to make its segments smoother, by even ones,
 _TILTS = 2  # and units its velocity may be changed
+_STANDS = 0.5 + 1e-6  # how far from where it is to stand a whole count may be
+_STEPS = 16  # of a grid of times, in a longest segment, on which knots are searched for one by one,
+_NEAR = 2  # at positions next to the commanded one, below and above,
+_TURNS = 2  # and velocities on either side of the commanded one, at least a unit apart,
+_TURN = 0.5  # this share otherwise of a tolerance per, or what can be turned in, a longest segment
+_ASTRAY = 0.1  # records given for the last of the knots to be a tolerance nearer
+_LATE = 0.01  # and for the motion to end a millisecond sooner
 _ROUGHNESS_UNIT = 1e3  # (1/ms)³ per qc²: 1 record for (1000 qc/s²)²·s at a tolerance of 1 qc
 
 
@@ -137,6 +148,7 @@ class Terms(NamedTuple):
     steepest: float  # [qc/ms²]
     smoothness: float
     longest: int  # [ms]
+    spare: float  # what `steepest` leaves beside any commanded acceleration [qc/ms²]
 
 
 class _Windows(NamedTuple):
@@ -308,8 +320,12 @@ def _enter(
                 break
         if low > high:
             continue
-        slowest = max((v0 + (2 * c + low * t) * t) * per_unit, -top, speed - 1e6)
-        fastest = min((v0 + (2 * c + high * t) * t) * per_unit, top, speed + 1e6)
+        # Whatever follows, a deviation that grows has to turn before the tolerance.
+        off = p1 - position
+        slowest = speed - min(sqrt(terms.spare * (terms.tolerance + off)) * per_unit, 1e6)
+        fastest = speed + min(sqrt(terms.spare * (terms.tolerance - off)) * per_unit, 1e6)
+        slowest = max((v0 + (2 * c + low * t) * t) * per_unit, -top, slowest)
+        fastest = min((v0 + (2 * c + high * t) * t) * per_unit, top, fastest)
         first = max(-_LEVELS, ceil((slowest - speed) * per_level - 0.5))
         for j in range(first, min(_LEVELS, floor((fastest - speed) * per_level + 0.5)) + 1):
             one = _LEVELS + j + side * (2 * _LEVELS + 1)
@@ -532,6 +548,90 @@ def _commit(path: Path, plan: Vector, terms: Terms) -> None:
 
 
 @_compiled
+def _careful(path: Path, plan: Vector, terms: Terms, end: int, near: int, turns: int) -> bool:
+    """Look for knots on a grid of times, all pairs of them, for DEPTH longest segments.
+
+    For when the ways that get furthest lead nowhere. The knots come ever nearer to the commanded
+    curve, so that whatever comes next can be followed from them. Rest may come later than `end`:
+    the time left may be too short to come to a whole count, and the curve rests there anyway.
+    """
+    unit, per_unit = terms.unit, 1 / terms.unit
+    step = max(1, terms.longest // _STEPS)
+    reach = max(1, terms.longest // step)
+    times, ends = DEPTH * reach, near * (2 * turns + 1)
+    level = min(terms.tolerance / terms.longest, terms.steepest * terms.longest / 4) / unit
+    level = max(1.0, _TURN * level)
+    position, velocity = _room((times + 1) * ends), _room((times + 1) * ends)
+    cost, before = _room((times + 1) * ends), _room((times + 1) * ends)
+    k0, p0, v0 = _knot(plan, 0, 0, unit)
+    aside = p0 - path.positions[k0]
+    rest = floor(path.positions[max(end, 0)] + 0.5)  # it may have been over before
+    for i in range(times + 1):
+        k = k0 + i * step
+        place = floor(path.positions[k] + aside * (1 - i / times)) - near // 2 + 1
+        speed = 0.0 if k >= end or i == 0 else _speed(path.positions, k, i * step) * per_unit
+        for one in range(ends):
+            at = i * ends + one
+            position[at] = place + one // (2 * turns + 1)
+            velocity[at] = unit * floor(speed + (one % (2 * turns + 1) - turns) * level + 0.5)
+            cost[at], before[at] = inf, -1.0
+    position[0], velocity[0], cost[0] = p0, v0, 0.0
+    best, least, ended = -1, inf, False
+    for i in range(times + 1):
+        k = k0 + i * step
+        for one in range(ends):
+            at = i * ends + one
+            if cost[at] == inf:
+                continue
+            p, v, so_far = position[at], velocity[at], cost[at]
+            if k >= end and i > 0 and p == rest and v == 0:
+                if so_far + _LATE * (k - end) < least:
+                    best, least, ended = at, so_far + _LATE * (k - end), True
+                continue
+            for later in range(i + 1, min(i + reach, times) + 1):
+                time = (later - i) * step
+                per_time = 1 / time
+                for two in range(ends):
+                    to = later * ends + two
+                    p1, v1 = position[to], velocity[to]
+                    if cost[to] <= so_far + 1 or abs(v1) > terms.fastest:
+                        continue
+                    if v1 == 0 and p1 != rest and k + time >= end:
+                        continue  # it would stay there
+                    mean = (p1 - p) * per_time
+                    b, c = (3 * mean - 2 * v - v1) * per_time, (3 * mean - v - 2 * v1) * per_time
+                    if 2 * abs(b) > terms.steepest or 2 * abs(c) > terms.steepest:
+                        continue
+                    if not keeps(path, k, p, v, time, p1, v1, terms):
+                        continue
+                    total = so_far + 1 + _roughness(path, k, p, v, time, p1, v1, terms)
+                    if total < cost[to]:
+                        cost[to], before[to] = total, at
+    if not ended:
+        for one in range(ends):
+            at = times * ends + one
+            off = abs(position[at] - path.positions[k0 + times * step]) / terms.tolerance
+            astray = off + abs(one % (2 * turns + 1) - turns)
+            if cost[at] + _ASTRAY * astray < least:
+                best, least = at, cost[at] + _ASTRAY * astray
+    if best < 0:
+        return False
+    found, at = 0, best
+    while at > 0:
+        found, at = found + 1, int(before[at])
+    forget(plan)
+    known, at = min(found, DEPTH), best
+    plan[_KNOWN], plan[_COMPLETE] = known, 1 if ended and found == known else 0
+    for knot in range(found, 0, -1):
+        if knot <= known:
+            plan[KNOT * knot] = k0 + at // ends * step
+            plan[KNOT * knot + 1] = position[at]
+            plan[KNOT * knot + 2] = floor(velocity[at] * per_unit + 0.5)
+        at = int(before[at])
+    return True
+
+
+@_compiled
 def _shift(plan: Vector, by: int) -> None:
     """Change all times of a plan."""
     for way in range(WIDTH):
@@ -580,21 +680,25 @@ def advance(
 ) -> int:
     """Commit the next knot of a plan; returns the duration of the segment to it [ms].
 
-    0: none keeps tolerance and limits. `positions` and `bends` are those of `Path` from path time
-    `first_ms` on, at least as far as `looked_at` says; `aims` are the fields of `Terms`. Times in
-    a plan are path times. The motion ends at `end_ms`.
+    0: none keeps tolerance and limits; −1: the motion has ended. `positions` and `bends` are those
+    of `Path` from path time `first_ms` on, at least as far as `looked_at` says; `aims` are the
+    fields of `Terms`. Times in a plan are path times. The commanded curve rests from `end_ms` on.
     """
     path = Path(positions, bends)
     _shift(plan, -first_ms)
     start, longest = int(plan[0]), int(aims[5])
     last = end_ms - first_ms
+    stands = plan[2] == 0 and abs(plan[1] - positions[start]) <= _STANDS
+    if stands and start >= last:
+        _shift(plan, first_ms)
+        return -1
     end = last
     rests_to = int(plan[_REST]) - first_ms
     if rests_to <= start:
         began, ended = _next_rest(path, start, DEPTH * longest, last, longest)
         if began > start:
             end = began
-        elif plan[2] == 0 and abs(plan[1] - path.positions[start]) <= aims[1]:
+        elif stands:
             forget(plan)
             plan[_REST], rests_to = ended + first_ms, ended
     found = True
@@ -602,16 +706,17 @@ def advance(
         left = rests_to - start
         plan[0] += left if left <= longest else min(longest, (left + 1) // 2)
     else:
-        terms = Terms(aims[0], aims[1], aims[2], aims[3], aims[4], longest)
+        terms = Terms(aims[0], aims[1], aims[2], aims[3], aims[4], longest, aims[6])
         for way in range(int(plan[_WAYS])):
             if _knot(plan, way, int(plan[_KNOWN]), 1.0)[0] > end:  # of a rest that was not known
                 forget(plan)
-        found = _complete(path, plan, terms, end)
-        while not found and longest > 1:  # the way leads nowhere: go back and on in smaller steps
-            longest //= 2
-            forget(plan)
-            terms = Terms(aims[0], aims[1], aims[2], aims[3], aims[4], longest)
-            found = _complete(path, plan, terms, end)
+        found = start < end and _complete(path, plan, terms, end)
+        half = longest
+        while not found and half > 0:  # the ways lead nowhere: go carefully, and in smaller steps
+            terms = Terms(aims[0], aims[1], aims[2], aims[3], aims[4], half, aims[6])
+            for wider in range(2):
+                found = found or _careful(path, plan, terms, last, _NEAR << wider, _TURNS << wider)
+            half //= 2
         if found:
             _commit(path, plan, terms)
     _shift(plan, first_ms)
@@ -647,7 +752,8 @@ def looked_at(longest: int) -> int:
 def prepare() -> None:
     """Compile this module, or load what an earlier run has compiled, before time matters."""
     still = vector([0.0] * (looked_at(1) + 1))
-    advance(still, bends_of(still), 0, 2, vector((1.0, 1.0, inf, inf, 0.0, 1)), plan_from_rest(0.0))
+    aims = vector((1.0, 1.0, inf, inf, 0.0, 1, 0.0))
+    advance(still, bends_of(still), 0, 2, aims, plan_from_rest(0.0))
 
 
 def kept_in() -> pathlib.Path | None:

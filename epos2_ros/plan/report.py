@@ -26,8 +26,8 @@ Row = tuple[str, ...]
 BEYOND = "*"  # marks what is beyond a limit of the joint
 BEYOND_NOTE = (
     f"{BEYOND} beyond the limit, which the commanded curve keeps: records are rounded; drives "
-    f"fault at {VELOCITY_HEADROOM:.0%} of the velocity, {ACCELERATION_HEADROOM:.0%} of the "
-    f"acceleration and a velocity unit in {ROUNDING_S * 1000:g} ms"
+    f"fault at {VELOCITY_HEADROOM:.0%} of the velocity and {ACCELERATION_HEADROOM:.0%} of the "
+    f"acceleration, and what a count more within {ROUNDING_S * 1000:g} ms takes on top"
 )
 CSV_COLUMNS = ("joint", "record", "path_ms", "position_qc", "velocity", "time_ms", "frame")
 
