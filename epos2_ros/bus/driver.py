@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from epos2_ros.bus.health import Health
+from epos2_ros.bus.identity import read_identity
 from epos2_ros.bus.link import Link
 from epos2_ros.bus.nodes import DriveNode, check, node_of
 from epos2_ros.bus.output_service import OutputService
@@ -48,6 +49,7 @@ from epos2_ros.protocol.drive import Drive
 from epos2_ros.protocol.execution import Execution
 from epos2_ros.protocol.frame import Frame
 from epos2_ros.protocol.group import Phase
+from epos2_ros.protocol.identity import Identity
 from epos2_ros.protocol.intake import Rejects, intake_of
 from epos2_ros.protocol.outbox import Event, SdoRequest
 from epos2_ros.protocol.outputs import OutputEvent
@@ -82,6 +84,7 @@ class Driver:
         self._log: LogWriter | None = None
         self._nodes: dict[Drive, DriveNode] = {}
         self._brought_up = False  # all drives, since the link was opened
+        self._identities: Mapping[str, Identity] = {}  # by joint
         self._doubtful = False  # something of ours has raised: what it knows may be half of it
         self._stops = 0  # how often motions were ended on request, those not yet begun included
         self._machine = machine_of(config)
@@ -195,7 +198,16 @@ class Driver:
     def _bring_up_drive(self, drive: Drive) -> None:
         statusword = self._nodes[drive].configure()
         self._reactor.call(lambda: self._group.reconfigured(drive, statusword, now_us()))
+        self._identify(drive)
         self._outputs.arm(drive.joint)
+
+    def _identify(self, drive: Drive) -> None:
+        """Ask a drive who it is, and say so unless that is known."""
+        identity = read_identity(self._nodes[drive].node)
+        if self._identities.get(drive.joint) != identity:
+            self._identities = {**self._identities, drive.joint: identity}
+            text = f"{drive.joint} (node {drive.node_id}): {identity}"
+            self._announce(self._on_event, Event("drive", text))
 
     def close(self) -> None:
         """Close the bus. Drives that are still enabled stop on the host's missing heartbeat."""
@@ -357,7 +369,9 @@ class Driver:
         link = self._link
         health = link.health if link else Health()
         return Snapshot(
-            axes=axis_snapshots(self._machine, now_us(), link is None or link.failed),
+            axes=axis_snapshots(
+                self._machine, now_us(), link is None or link.failed, self._identities
+            ),
             outputs=self._output_snapshots(),
             state=self._group.phase.value,
             reason=self._group.reason,

@@ -11,6 +11,7 @@ from epos2_ros.bus.health import BusState
 from epos2_ros.motion.units import AxisUnits
 from epos2_ros.protocol.epos2 import BUFFER_SIZE
 from epos2_ros.protocol.group import IN_MOTION
+from epos2_ros.protocol.identity import Identity
 from epos2_ros.protocol.machine import Machine
 from epos2_ros.protocol.outputs import Tally
 
@@ -38,6 +39,7 @@ class AxisSnapshot:
     executed_qc: int | None  # position demand at the last SYNC
     records_sent: int
     silent_s: float = 0.0  # not heard for so long; 0 as long as it is heard
+    identity: Identity | None = None  # None until the drive has been brought up
 
 
 class OutputSnapshot(NamedTuple):
@@ -72,8 +74,10 @@ class Snapshot:
     internal_errors: int = 0
 
 
-def axis_snapshots(machine: Machine, now_us: float, deaf: bool) -> tuple[AxisSnapshot, ...]:
-    """Of all axes; `deaf`: nothing is heard any more."""
+def axis_snapshots(
+    machine: Machine, now_us: float, deaf: bool, identities: Mapping[str, Identity]
+) -> tuple[AxisSnapshot, ...]:
+    """Of all axes; `deaf`: nothing is heard any more; `identities`: of their drives, by joint."""
     nan, clock = math.nan, machine.time.clock
     in_motion = machine.group.phase in IN_MOTION
     path_ms = machine.path_time.at_ms(now_us) if in_motion else math.inf
@@ -102,6 +106,7 @@ def axis_snapshots(machine: Machine, now_us: float, deaf: bool) -> tuple[AxisSna
             executed_qc=drive.demand_qc,
             records_sent=0,
             silent_s=silent_us / 1e6 if deaf or machine.group.silent(drive) else 0.0,
+            identity=identities.get(drive.joint),
         )
         if drive in machine.time.drives:
             index = machine.time.drives.index(drive)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from epos2_ros.bus.identity import DEVICE_NAME, IDENTITY, SOFTWARE_VERSION
 from epos2_ros.commission.uploads import Address, Answer, Refusal
 from epos2_ros.protocol.identity import Identity
 
-DEVICE_TYPE, DEVICE_NAME, SOFTWARE_VERSION, IDENTITY = 0x1000, 0x1008, 0x100A, 0x1018
+DEVICE_TYPE = 0x1000
 NO_OBJECT, NO_SUBINDEX = 0x0602_0000, 0x0609_0011  # abort codes (CiA 301, table 22)
 
 

@@ -6,7 +6,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from epos2_ros.bus.health import BusState, Health
-from epos2_ros.commission.found import IDENTITY, Found
+from epos2_ros.bus.identity import IDENTITY
+from epos2_ros.commission.found import Found
 from epos2_ros.commission.makers import HEARTBEAT_TIME, is_drive, maker_of
 from epos2_ros.commission.survey import Survey
 from epos2_ros.protocol import epos2

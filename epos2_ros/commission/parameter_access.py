@@ -11,13 +11,13 @@ from dataclasses import dataclass
 import can
 import canopen
 
-from epos2_ros.commission.found import DEVICE_NAME, IDENTITY, SOFTWARE_VERSION
+from epos2_ros.bus.identity import read_identity
 from epos2_ros.commission.stored import COB_ID, LAST_STEP, Parameter, Value, parameters_of
 from epos2_ros.errors import BusError, DriveError
 from epos2_ros.protocol import cia402, epos2
 from epos2_ros.protocol.cia402 import State
-from epos2_ros.protocol.identity import Identity
 
+DEVICE_TYPE = 0x1000
 STORE = (0x1010, 1)
 SAVE = b"save"  # 65766173h, lowest byte first (CiA 301, 7.5.2.13)
 STORE_TIMEOUT_S = 10.0  # flash is slow
@@ -68,15 +68,12 @@ class DriveParameters:
         self.node_id = node_id
         self._node = canopen.RemoteNode(node_id, canopen.ObjectDictionary())
         network[node_id] = self._node
-        self.identity = self._identify()
+        self._upload(DEVICE_TYPE, 0)  # says what to do when there is nobody
+        self.identity = read_identity(self._node)
         self.parameters = parameters_of(self.identity.vendor_id)
 
     def __str__(self) -> str:
-        its = self.identity
-        return (
-            f"node {self.node_id} ({its.maker} {its.product}, firmware {its.firmware}, "
-            f"serial number {its.serial_number})"
-        )
+        return f"node {self.node_id} ({self.identity})"
 
     def read(self) -> Values:
         """All that the drive has and tells; of a PDO the objects that are mapped."""
@@ -138,15 +135,6 @@ class DriveParameters:
             raise DriveError(f"{self} does not store its parameters: {error}") from error
 
     # ------------------------------------------------------------------ inside
-
-    def _identify(self) -> Identity:
-        told = [self._upload(IDENTITY, subindex) for subindex in range(1, 5)]
-        if told[0] is None:
-            raise DriveError(f"node {self.node_id} does not tell who made it (0x1018-01)")
-        vendor, product, revision, serial = (int.from_bytes(d or b"", "little") for d in told)
-        texts = [self._upload(index, 0) or b"" for index in (DEVICE_NAME, SOFTWARE_VERSION)]
-        name, software = (text.rstrip(b"\0").decode("latin-1").strip() for text in texts)
-        return Identity(vendor, product, revision, serial, name, software)
 
     def _upload(self, index: int, subindex: int) -> bytes | None:
         """None where the drive refuses."""

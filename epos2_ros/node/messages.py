@@ -102,6 +102,16 @@ def _drive_of(axis: AxisSnapshot, node: str, channel: str, limits: ClockLimits) 
         "clock offset [us]": _given(axis.clock_offset_us, ".1f"),
         "clock drift [ppm]": _given(axis.clock_drift_ppm, ".2f"),
     }
+    who = axis.identity
+    identity = (
+        {}
+        if who is None
+        else {
+            "product": f"{who.maker} {who.product}",
+            "firmware": who.firmware,
+            "serial number": str(who.serial_number),
+        }
+    )
     return DiagnosticStatus(
         level=level,
         name=f"{node}: {axis.joint}",
@@ -113,6 +123,7 @@ def _drive_of(axis: AxisSnapshot, node: str, channel: str, limits: ClockLimits) 
                 "last emergency": axis.fault or "none",
                 "not heard for [s]": f"{axis.silent_s:.1f}",
                 **{name: text for name, text in clock_and_error.items() if text},
+                **identity,
             }
         ),
     )

@@ -43,3 +43,9 @@ class Identity:
         if self.vendor_id == MAXON:
             return f"{self.revision >> 16:04X}h"
         return self.software or f"revision 0x{self.revision:08X}"
+
+    def __str__(self) -> str:
+        return (
+            f"{self.maker} {self.product}, firmware {self.firmware}, "
+            f"serial number {self.serial_number}"
+        )

@@ -18,7 +18,7 @@ class Event(NamedTuple):
     """Something a user wants to read in the log."""
 
     # "waiting", "started", "replaced", "done", "cancelled", "stopped" (on request, off the path),
-    # "aborted", "fault", "warning" or "debug"
+    # "aborted", "fault", "warning", "debug" or "drive" (who it is)
     kind: str
     text: str
 
