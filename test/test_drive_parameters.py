@@ -25,11 +25,12 @@ from epos2_ros.errors import ConfigurationError, DriveError
 from epos2_ros.protocol.frame import Frame
 from epos2_ros.sim.can_bus import SimulatedBus
 from epos2_ros.sim.copley import Copley
-from epos2_ros.sim.epos2 import Epos2
+from epos2_ros.sim.epos2 import Dictionary, Epos2
 
 ROOT = Path(__file__).resolve().parent.parent
 GANTRY = str(ROOT / "config" / "gantry.yaml")
 PATIENCE_US = 50_000.0
+LOAD = b"load"  # CiA 301, 7.5.2.14
 
 
 class Bench:
@@ -54,6 +55,11 @@ class Bench:
         downloads = [d for can_id, d in self.sent if can_id & 0x780 == 0x600 and d[0] >> 5 == 1]
         return [struct.unpack_from("<HB", data, 1) for data in downloads]
 
+    def write(self, node_id: int, index: int, subindex: int, data: bytes) -> None:
+        """By SDO, four bytes."""
+        request = b"\x23" + struct.pack("<HB", index, subindex) + data
+        self._send(Frame(0x600 + node_id, request))
+
     def reset(self, drive: Any) -> None:
         """NMT reset node, and the time it takes."""
         self.bus.host_send(0, bytes([0x81, drive.node_id]))
@@ -77,16 +83,22 @@ class Bench:
         return False
 
 
+def note(node_id: int) -> Epos2:
+    """With the dictionary of the application note."""
+    return Epos2(node_id, dictionary=Dictionary.NOTE)
+
+
 def configured(make: Callable[[int], Any], node_id: int) -> tuple[Bench, Any]:
     """A drive as the driver leaves it: other limits, PDOs of its own."""
     drive = make(node_id)
     bench = Bench(drive)
+    epos2 = isinstance(drive, Epos2)
     axis = AxisConfig(
         "arm", node_id, min_position=-1.0, max_position=2.0, max_velocity=1.0,
         max_acceleration=5.0, stop_deceleration=3.0, max_following_error=777,
-        velocity_notation=-1 if make is Epos2 else 0, drive="epos2" if make is Epos2 else "copley",
+        velocity_notation=-1 if epos2 else 0, drive="epos2" if epos2 else "copley",
     )  # fmt: skip
-    if make is Epos2:
+    if epos2:
         settings = drive_settings(axis, DriverConfig(axes=(axis,)))
         Epos2Node(bench.network, settings).configure()
     else:
@@ -95,7 +107,7 @@ def configured(make: Callable[[int], Any], node_id: int) -> tuple[Bench, Any]:
     return bench, drive
 
 
-@pytest.mark.parametrize("make", [Epos2, Copley])
+@pytest.mark.parametrize("make", [Epos2, note, Copley])
 def test_another_drive_is_made_the_same_through_a_file(
     make: Callable[[int], Any], tmp_path: Path
 ) -> None:
@@ -119,10 +131,32 @@ def test_factory_reset_is_undone_by_restoring() -> None:
     bench, drive = configured(Epos2, 3)
     parameters = bench.parameters(3)
     kept = parameters.read()
+    parameters.store()
+    bench.reset(drive)
+    assert parameters.differences(kept) == []
+    bench.write(3, 0x1011, 1, LOAD)
     bench.reset(drive)
     assert parameters.differences(kept)
     assert parameters.restore(kept) == []
     assert parameters.read() == kept
+
+
+@pytest.mark.parametrize("make", [Epos2, Copley])
+def test_stored_parameters_survive_a_power_off_and_others_do_not(
+    make: Callable[[int], Any],
+) -> None:
+    bench, drive = configured(make, 3)
+    parameters = bench.parameters(3)
+    kept = parameters.read()
+    bench.reset(drive)
+    assert parameters.differences(kept), "the driver stores nothing"
+    assert parameters.restore(kept) == []
+    bench.reset(drive)
+    assert parameters.differences(kept), "restoring alone stores nothing"
+    assert parameters.restore(kept) == []
+    parameters.store()
+    bench.reset(drive)
+    assert parameters.differences(kept) == []
 
 
 VALUES = {

@@ -18,6 +18,7 @@ from .dictionary import (
     INTEGER8,
     INTEGER16,
     INTEGER32,
+    SAVE,
     UNSIGNED16,
     UNSIGNED32,
     AbortCode,
@@ -25,6 +26,7 @@ from .dictionary import (
     Entry,
     ObjectDictionary,
     SdoAbort,
+    check_signature,
 )
 from .profile import Profile, stop, trapezoid
 from .sdo import SdoServer
@@ -77,6 +79,12 @@ class Status:
     SETPOINT_ACKNOWLEDGE = 1 << 12
 
 
+_PARTS = (
+    "Save all parameters",
+    "Save communication parameters",
+    "Save application parameters",
+    "Save manufacturer defined parameters",
+)
 _POWERED = (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE)
 
 
@@ -218,6 +226,30 @@ class Copley(Slave):
         od.variable(0x6086, Entry("Motion profile type", INTEGER16, low=0, high=0))
         od.variable(0x6502, Entry("Supported drive modes", UNSIGNED32, "ro", 1))
         self._build_outputs()
+        self._build_storing()
+
+    def _build_storing(self) -> None:
+        """0x1010; its EDS has no 0x1011, so there is no way back but the maker's tool."""
+        parts = (0x1000, 0xFFFF), (0x1000, 0x1FFF), (0x6000, 0x9FFF), (0x2000, 0x5FFF)
+        self.dictionary.record(
+            0x1010,
+            *(
+                Entry(
+                    name,
+                    UNSIGNED32,
+                    read=lambda: 1,
+                    check=partial(check_signature, SAVE),
+                    write=partial(self._save, *part),
+                )
+                for name, part in zip(_PARTS, parts, strict=True)
+            ),
+        )
+
+    def _save(self, first: int, last: int, signature: int) -> None:
+        """Parameters of these objects, as they are now, are there after power-on."""
+        for (index, _), entry in self.dictionary.items():
+            if first <= index <= last and entry.access == "rw":
+                entry.stored = entry.value
 
     def _build_outputs(self) -> None:
         od, module, trace = self.dictionary, self.module, self.trace
@@ -319,8 +351,8 @@ class Copley(Slave):
         self._commanded = self._shaft
         self.module.reset()
         self.trace.reserve(0)
-        for pin in self.pins:
-            pin.configure(bytes(10))
+        for n, pin in enumerate(self.pins, 1):
+            pin.configure(self.dictionary[0x2193, n].pack())
         self._tick_us = INF if self._moved is None else self.now_us
 
     def _on_controlword(self, word: int) -> None:

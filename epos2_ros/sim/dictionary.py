@@ -35,12 +35,21 @@ class AbortCode(IntEnum):
     DEVICE_STATE = 0x0800_0022
 
 
+SAVE, LOAD = 0x6576_6173, 0x6461_6F6C  # "save" and "load" (CiA 301, 7.5.2.13 and 7.5.2.14)
+
+
 class SdoAbort(Exception):
     """An access the device refuses; `code` goes out in the abort message."""
 
     def __init__(self, code: AbortCode) -> None:
         super().__init__(f"{code.name} (0x{code:08X})")
         self.code = code
+
+
+def check_signature(signature: int, value: int) -> None:
+    """Storing and restoring take their own signature, so that nothing does it by chance."""
+    if value != signature:
+        raise SdoAbort(AbortCode.STORING)
 
 
 @dataclass(frozen=True)

@@ -35,6 +35,8 @@ from .clock import MotionClock
 from .dictionary import (
     INTEGER8,
     INTEGER16,
+    LOAD,
+    SAVE,
     UNSIGNED8,
     UNSIGNED16,
     UNSIGNED32,
@@ -42,6 +44,7 @@ from .dictionary import (
     AbortCode,
     Entry,
     SdoAbort,
+    check_signature,
 )
 from .epos2_compare import PositionOutputs
 from .homing import Switches
@@ -51,7 +54,6 @@ from .recorder import Recorder
 from .slave import Identity
 
 MAXON = 0x0000_00FB
-SAVE, LOAD = 0x6576_6173, 0x6461_6F6C  # "save" and "load" (CiA 301, 7.5.2.13 and 7.5.2.14)
 IPM_ERROR = 0xFF0C
 _TOLERANCE = 1 + 1e-9  # for limits that are met exactly
 
@@ -279,7 +281,7 @@ class Epos2(PositionOutputs):
         self._selected_mode.preset(Mode.PROFILE_POSITION)
         for storage, signature, act in ((0x1010, SAVE, self._save), (0x1011, LOAD, self._load)):
             entry = od[storage, 1]
-            entry.read, entry.check = lambda: 1, partial(self._check_signature, signature)
+            entry.read, entry.check = lambda: 1, partial(check_signature, signature)
             entry.write = act
         for rpdo, factory in zip(self.rpdos, epos2_objects.RPDOS, strict=True):
             rpdo.types = epos2_objects.RPDO_TYPES
@@ -289,11 +291,6 @@ class Epos2(PositionOutputs):
             tpdo.inhibit.preset(epos2_objects.INHIBIT_100US)
             tpdo.preset(factory.cob_id + node, factory.mapping)
         self._reconfigure()
-
-    @staticmethod
-    def _check_signature(signature: int, value: int) -> None:
-        if value != signature:
-            raise SdoAbort(AbortCode.STORING)
 
     def _save(self, signature: int) -> None:
         """All parameters as they are now are there after power-on."""
