@@ -26,6 +26,8 @@ from epos2_ros.protocol.frame import Frame
 from epos2_ros.sim.can_bus import SimulatedBus
 from epos2_ros.sim.copley import Copley
 from epos2_ros.sim.epos2 import Dictionary, Epos2
+from epos2_ros.sim.realtime import RealtimeSimulator, build_copley_drives
+from epos2_ros.sim.slcan import SlcanAdapter
 
 ROOT = Path(__file__).resolve().parent.parent
 GANTRY = str(ROOT / "config" / "gantry.yaml")
@@ -327,6 +329,17 @@ def test_program_dumps_compares_and_restores(
         monkeypatch.setattr("builtins.input", lambda prompt, answer=answer: answer)
         assert main(["restore", str(file), "1", "--params", GANTRY]) == status
         assert says in capsys.readouterr().out
+
+
+def test_drive_behind_a_serial_adapter(capsys: pytest.CaptureFixture[str]) -> None:
+    with SlcanAdapter(1_000_000) as adapter:
+        simulator = RealtimeSimulator(adapter, build_copley_drives([5]))
+        simulator.start()
+        try:
+            assert main(["dump", "5", "--interface", "slcan", "--channel", adapter.path]) == 0
+        finally:
+            simulator.stop()
+    assert yaml.safe_load(capsys.readouterr().out)["drive"]["maker"] == "Copley"
 
 
 @pytest.mark.parametrize(

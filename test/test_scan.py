@@ -242,10 +242,13 @@ def test_last_error_is_told_in_words() -> None:
     drive, other = Epos2(1), Copley(2)
     drive.fail(0x8611)
     drive.fail(0x3210)
-    other.emergency(0x2310)
-    scanned = Scanned(drive, other, listen_s=0)
+    other.emergency(0x2345)
+    third = Copley(3)
+    third.emergency(0x8130)
+    scanned = Scanned(drive, other, third, listen_s=0)
     assert last_error(scanned[1]) == "over-voltage (0x3210)"
-    assert last_error(scanned[2]) == "current (0x2310)"
+    assert last_error(scanned[2]) == "current (0x2345)"
+    assert "the host was not heard (0x8130)" in last_error(scanned[3])
     assert last_error(Scanned(Epos2(1), listen_s=0)[1]) == ""
 
 

@@ -6,6 +6,7 @@ import math
 import re
 import select
 import shutil
+import time
 from collections.abc import Callable
 from typing import TextIO
 
@@ -28,6 +29,7 @@ class Dialogue:
 
     def __init__(self, answers: TextIO, out: TextIO) -> None:
         self._answers, self._out = answers, out
+        self._shown_s = -math.inf
         self._live = answers.isatty() and out.isatty()
 
     def say(self, text: str = "") -> None:
@@ -35,15 +37,20 @@ class Dialogue:
         self._out.flush()
 
     def show(self, text: str) -> None:
-        """In place of what was shown last; only on a terminal. `say` ends it."""
+        """In place of what was shown last, a few times a second; only on a terminal."""
+        if self._live and time.monotonic() - self._shown_s > REFRESH_S:
+            self._shown_s = time.monotonic()
+            self._put(text)
+
+    def clear(self) -> None:
+        """Nothing is shown any more."""
+        self._put("")
+
+    def _put(self, text: str) -> None:
         if self._live:
             width = shutil.get_terminal_size().columns
             self._out.write(f"\r\x1b[K{text[: width - 1]}")
             self._out.flush()
-
-    def clear(self) -> None:
-        """Nothing is shown any more."""
-        self.show("")
 
     def ask(self, question: str, meanwhile: Callable[[], str] | None = None) -> str:
         """The line that is typed, without blanks around it; `meanwhile` is shown until then."""

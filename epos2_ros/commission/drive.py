@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import can
@@ -96,18 +96,16 @@ def restore(arguments: argparse.Namespace) -> int:
 @contextmanager
 def _drive(arguments: argparse.Namespace) -> Iterator[DriveParameters]:
     node_id = _node_id(arguments)
-    with (
-        place_of(arguments) as place,
-        open_bus(place.interface, place.channel, place.bitrate) as bus,
-    ):
-        network = canopen.Network(bus)
+    with place_of(arguments) as place:
+        network = canopen.Network(open_bus(place.interface, place.channel, place.bitrate))
         try:
             network.connect()
             yield DriveParameters(network, node_id)
         except can.CanError as error:
             raise BusError(f"{place.name}: {error}") from error
         finally:
-            network.disconnect()
+            with suppress(can.CanError, OSError):  # what is gone can't be told to close
+                network.disconnect()  # closes the bus, too
 
 
 def _node_id(arguments: argparse.Namespace) -> int:

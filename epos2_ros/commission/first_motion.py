@@ -27,6 +27,7 @@ BUZZ_S = 3.0  # each way, at least
 PEAK = 1.5  # of a cubic's velocity, against its mean; its peak acceleration is 6 times p/t²
 WATCH_S = 0.02
 REACHED = 0.05  # of the amount, by which the farthest point may miss it
+DWELL_S = 0.5  # at the far end, where it is looked how far it got
 HOLD_S = 1.0
 REPORT_S = 3.0  # within this a drive tells where it is, after bring-up
 
@@ -212,7 +213,7 @@ class FirstMotion:
         self._watch_holding()
         seen = self._there_and_back(amount, seconds)
         self._driver.disable()
-        self._report(amount, 2 * seconds, seen)
+        self._report(amount, 2 * seconds + DWELL_S, seen)
         if abs(seen.farthest - seen.start - amount) > REACHED * abs(amount):
             return self._bad("it did not get there: tune the regulators, look at the load")
         if not talk.agreed(f"did it go by {amount:+g} {unit} and back, in this direction?"):
@@ -261,12 +262,13 @@ class FirstMotion:
         seen = Buzz(start, start, start, None, 0.0)
         begun = time.monotonic()
         if self._axis.drive == "copley":
-            for target in (start + amount, start):
-                self._driver.move_to({self._axis.joint: target}, seconds)
-                self._follow(seen, amount, lambda: self._driver.snapshot().state != "standing")
+            self._move_to(start + amount, seconds, seen, amount)
+            until = time.monotonic() + DWELL_S
+            self._follow(seen, amount, lambda: time.monotonic() < until)
+            self._move_to(start, seconds, seen, amount)
         else:
-            times = np.array([0.0, seconds, 2 * seconds])
-            positions = np.array([[start], [start + amount], [start]])
+            times = np.cumsum([0.0, seconds, DWELL_S, seconds])
+            positions = start + amount * np.array([[0.0], [1.0], [1.0], [0.0]])
             trajectory = Trajectory(
                 (self._axis.joint,), times, positions, np.zeros_like(positions)
             )
@@ -282,6 +284,10 @@ class FirstMotion:
         time.sleep(self._settle_s)
         seen.end = self._here()
         return seen
+
+    def _move_to(self, target: float, seconds: float, seen: Buzz, amount: float) -> None:
+        self._driver.move_to({self._axis.joint: target}, seconds)
+        self._follow(seen, amount, lambda: self._driver.snapshot().state != "standing")
 
     def _follow(self, seen: Buzz, amount: float, moving: Callable[[], bool]) -> None:
         """Look at the axis while it moves."""

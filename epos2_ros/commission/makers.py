@@ -39,6 +39,7 @@ DRIVE = (
 )
 FACTORS = tuple((i, s) for i in (ENCODER_RESOLUTION, GEAR_RATIO, FEED_CONSTANT) for s in (1, 2))
 
+MAKERS_OWN = 0xFF00  # error codes from here on mean what the maker says (CiA 301, table 26)
 # Error codes by their upper byte or digit (CiA 301, table 26).
 ERROR_CLASSES = {
     0x10: "generic error",
@@ -89,6 +90,8 @@ class Maker:
 
     def emergency(self, code: int) -> str:
         """An error code in words, with the number for the manual."""
+        if code in epos2.EMERGENCIES and code < MAKERS_OWN:  # those of CiA 301 and 402
+            return epos2.FAMILY.describe_emergency(code)
         for digits in (code >> 8, code >> 12):
             if digits in ERROR_CLASSES:
                 return f"{ERROR_CLASSES[digits]} (0x{code:04X})"

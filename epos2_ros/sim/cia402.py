@@ -201,10 +201,10 @@ class Drive(Slave):
         self._arm()
 
     def push(self, counts: float) -> bool:
-        """A hand turns the shaft so far; `False`: the motor holds it."""
+        """A hand turns the shaft so far, to a whole count; `False`: the motor holds it."""
         if self.state in _POWERED:
             return False
-        self._motor.stand(self._motor.position + counts)
+        self._motor.stand(round(self._motor.position + counts))
         self._demand = self._motor.position
         self._dirty = True
         self._send_events()
