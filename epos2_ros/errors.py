@@ -28,6 +28,10 @@ class TrajectoryError(Epos2RosError):
         self.code = code
 
 
+class UnfinishedTrajectory(TrajectoryError):
+    """It says a motion, but not how that ends: its last point still moves."""
+
+
 class BusError(Epos2RosError):
     """The CAN interface can't be opened, or the bus stopped working."""
 

@@ -328,6 +328,12 @@ def of_frames(world: World) -> FollowJointTrajectory.Goal:
     return goal
 
 
+def unfinished(world: World) -> FollowJointTrajectory.Goal:
+    goal = to(world, 0.1, 0.1)
+    goal.trajectory.points[1].velocities[1] = 0.5
+    return goal
+
+
 @pytest.mark.parametrize(
     ("make", "words"),
     [
@@ -335,8 +341,9 @@ def of_frames(world: World) -> FollowJointTrajectory.Goal:
         (elsewhere, "joint 'b', point 0"),
         (disabled, "disabled"),
         (of_frames, "multi_dof_trajectory"),
+        (unfinished, "joint 'b', point 1: the last point still moves"),
     ],
-    ids=["limit", "start", "not enabled", "frames"],
+    ids=["limit", "start", "not enabled", "frames", "unfinished"],
 )
 def test_what_can_not_be_run_is_aborted_with_the_reason(world, make, words):
     before = world.here

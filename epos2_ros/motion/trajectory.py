@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from epos2_ros.errors import TrajectoryError
+from epos2_ros.errors import TrajectoryError, UnfinishedTrajectory
 
 REST_VELOCITY = 1e-6  # a last point slower than this is at rest [unit/s]
 _FIELDS = ("positions", "velocities", "accelerations")
@@ -180,7 +180,7 @@ class Trajectory:
         last = self.velocities[-1]
         joint = int(np.abs(last).argmax())
         if abs(last[joint]) > REST_VELOCITY:
-            raise TrajectoryError(
+            raise UnfinishedTrajectory(
                 f"joint '{self.joint_names[joint]}', point {len(self.times_s) - 1}: the last "
                 f"point still moves (velocity {last[joint]:g}, must be 0)"
             )

@@ -35,7 +35,7 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 from epos2_ros.bus.driver import Driver
 from epos2_ros.bus.tracking import Tracking
 from epos2_ros.config import DriverConfig
-from epos2_ros.errors import Epos2RosError, TrajectoryError
+from epos2_ros.errors import Epos2RosError, TrajectoryError, UnfinishedTrajectory
 from epos2_ros.motion.tolerance import JointTolerance, Tolerances
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.node.goal import CANCELED_EARLY, INVALID_GOAL, Outcome, Pursuit, Status, refused
@@ -84,7 +84,8 @@ class TrajectoryAction:
         self._to_ros = to_ros
         self._to_host = to_host
         self._goal_time_s = self._period_s = 0.0
-        self._checked: tuple[Any, Trajectory, Tolerances] | None = None  # what is accepted next
+        # What is accepted next: its request, and how it can be run, or why not.
+        self._checked: tuple[Any, Trajectory | TrajectoryError, Tolerances] | None = None
         self._goals: list[_Goal] = []
         self._submitting = ThreadPoolExecutor(1, thread_name_prefix="goals")
         self._state = node.create_publisher(
@@ -125,10 +126,9 @@ class TrajectoryAction:
     def _on_goal(self, goal: FollowJointTrajectory.Goal) -> GoalResponse:
         try:
             driver = self._active_driver()
-            trajectory = self._received(Trajectory.from_message(goal.trajectory))
-            if not len(trajectory.times_s):
-                raise TrajectoryError("the trajectory has no points; cancel a goal to stop it")
-            driver.check(trajectory)
+            trajectory = self._trajectory_of(goal)
+            if isinstance(trajectory, Trajectory):
+                driver.check(trajectory)
         except Epos2RosError as error:
             self._log().error(f"goal rejected: {error}")
             return GoalResponse.REJECT
@@ -143,6 +143,18 @@ class TrajectoryAction:
         self._checked = goal, trajectory, tolerances
         return GoalResponse.ACCEPT
 
+    def _trajectory_of(self, goal: FollowJointTrajectory.Goal) -> Trajectory | TrajectoryError:
+        """How it is to be run, or why it can't be; raises TrajectoryError if it says no motion."""
+        if goal.multi_dof_trajectory.points:
+            return TrajectoryError("multi_dof_trajectory has points; this driver moves joints only")
+        try:
+            trajectory = self._received(Trajectory.from_message(goal.trajectory))
+        except UnfinishedTrajectory as error:
+            return error
+        if not len(trajectory.times_s):
+            raise TrajectoryError("the trajectory has no points; cancel a goal to stop it")
+        return trajectory
+
     def _on_accepted(self, handle: ServerGoalHandle) -> None:
         assert self._checked is not None
         request, trajectory, tolerances = self._checked
@@ -153,7 +165,7 @@ class TrajectoryAction:
         goal = _Goal(handle, tolerances)
         self._goals.append(goal)
         handle._update_state(GoalEvent.EXECUTE)
-        goal.submitted = self._submitting.submit(self._submit, trajectory, request)
+        goal.submitted = self._submitting.submit(self._submit, trajectory)
         threading.Thread(target=self._pursue, args=(goal,), name="goal", daemon=True).start()
 
     def _on_cancel(self, handle: ServerGoalHandle) -> CancelResponse:
@@ -164,11 +176,9 @@ class TrajectoryAction:
                 goal.news.set()
         return CancelResponse.ACCEPT
 
-    def _submit(
-        self, trajectory: Trajectory, request: FollowJointTrajectory.Goal
-    ) -> tuple[Driver, Execution]:
-        if request.multi_dof_trajectory.points:
-            raise TrajectoryError("multi_dof_trajectory has points; this driver moves joints only")
+    def _submit(self, trajectory: Trajectory | TrajectoryError) -> tuple[Driver, Execution]:
+        if isinstance(trajectory, TrajectoryError):
+            raise trajectory
         driver = self._active_driver()
         execution = driver.submit(trajectory)
         assert execution is not None
