@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 import sys
 
 PROGRAMS = {
@@ -52,7 +53,12 @@ def main(argv: list[str] | None = None) -> int:
             problem = "needs ROS 2: source its setup.bash, or pip install '.[ros]'"
         print(f"epos2_ros {name}: {problem}", file=sys.stderr)
         return 1
-    status: int = program.main(arguments)
+    try:
+        status: int = program.main(arguments)
+        sys.stdout.flush()
+    except BrokenPipeError:  # `… | head` has seen enough, which is no error of either
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     return status
 
 

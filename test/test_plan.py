@@ -9,9 +9,11 @@ from __future__ import annotations
 import csv
 import io
 import math
+import os
 import re
 import subprocess
 import sys
+import tracemalloc
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -30,14 +32,18 @@ from trajectories import EXAMPLES, NAMES, example, example_message
 
 from epos2_ros import plan
 from epos2_ros.bus.transmitter import worst_case_bits
+from epos2_ros.config import AxisConfig
 from epos2_ros.demo.commanded import Commanded
 from epos2_ros.errors import ConfigurationError, TrajectoryError
 from epos2_ros.files import read_parameters
+from epos2_ros.motion.record import Record
+from epos2_ros.motion.reference import Reference
 from epos2_ros.motion.trajectory import Trajectory
+from epos2_ros.motion.units import AxisUnits
 from epos2_ros.node.parameters import Parameters
 from epos2_ros.parameters import DriverParameters
 from epos2_ros.plan import report
-from epos2_ros.plan.planning import make_plan
+from epos2_ros.plan.planning import AxisPlan, make_plan
 from epos2_ros.protocol.group import Phase
 
 CONFIG = EXAMPLES.parent / "config"
@@ -587,6 +593,45 @@ class Page(HTMLParser):
             self.cells.append(data.strip())
         if self.tags and self.tags[-1] == "title":
             self.title += data.strip()
+
+
+@pytest.mark.parametrize("name", ["raster_scan", "pick_place"])
+def test_the_plan_is_the_same_however_it_is_cut_into_pieces(name, command, monkeypatch):
+    outputs = ("--params", CONFIG / "outputs.yaml") if name == "raster_scan" else ()
+
+    def table() -> str:
+        out = command(EXAMPLES / f"{name}.yaml", *outputs).out
+        return out[: out.index("first motion")]  # which is measured
+
+    whole = table()
+    monkeypatch.setattr("epos2_ros.plan.planning.PIECE_MS", 700)
+    assert table() == whole
+
+
+def test_memory_does_not_grow_with_the_length_of_the_motion():
+    """An hour at rest is 3,600,000 milliseconds, of which every curve would have 29 MB."""
+    axis = AxisConfig("a", 1)
+    records = (*[Record(0, 0, 250)] * 14_400, Record(0, 0, 0))
+    units = AxisUnits.of(axis)
+    reference = Reference.at_rest([units], [0.0])
+    long = AxisPlan(axis, units, 0, records, reference, 0)
+    tracemalloc.start()
+    try:
+        assert long.extremes == (0.0, 0.0, 0.0)
+        assert tracemalloc.get_traced_memory()[1] < 25e6
+    finally:
+        tracemalloc.stop()
+
+
+def test_whoever_has_seen_enough_can_close_the_pipe(tmp_path):
+    """`plan … | head` ends in silence."""
+    command = [sys.executable, "-m", "epos2_ros", "plan", str(EXAMPLES / "pick_place.yaml")]
+    read, write = os.pipe()
+    process = subprocess.Popen(command, stdout=write, stderr=subprocess.PIPE, text=True)
+    os.close(write)
+    os.close(read)
+    assert process.communicate(timeout=60)[1] == ""
+    assert process.returncode == 0
 
 
 def test_it_shows_how_a_first_point_at_a_later_time_is_joined(command):

@@ -52,7 +52,7 @@ def make_move_plan(
     }
     return MovePlan(
         tuple((axes[joint], move) for joint, move in together.items()),
-        OutputPlans.of(config, {joint: move.path(0.0) for joint, move in together.items()}),
+        OutputPlans.of(config, {joint: [move.path(0.0)] for joint, move in together.items()}),
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TextIO
 
@@ -11,8 +11,9 @@ import numpy as np
 
 from epos2_ros.compare_config import CompareConfig
 from epos2_ros.config import DriverConfig
-from epos2_ros.motion.compare import Prediction, predict
+from epos2_ros.motion.compare import Prediction
 from epos2_ros.motion.crossings import Path
+from epos2_ros.motion.foresight import Foresight
 from epos2_ros.motion.units import AxisUnits
 from epos2_ros.protocol.outputs import Outputs
 
@@ -67,16 +68,21 @@ class OutputPlans:
     remarks: tuple[str, ...] = ()  # of the configuration
 
     @classmethod
-    def of(cls, config: DriverConfig, paths: Mapping[str, Path]) -> OutputPlans:
-        """`paths`: by joint, from the start on. ConfigurationError for what drives can't do."""
+    def of(cls, config: DriverConfig, paths: Mapping[str, Iterable[Path]]) -> OutputPlans:
+        """`paths`: by joint, from the start on, piece by piece. ConfigurationError for what drives
+        can't do."""
         outputs = Outputs(config.axes, config.outputs, ())
         plans = []
         for index, axis in enumerate(config.axes):
-            if axis.joint not in paths:
+            units, triggers = outputs.units[index], outputs.triggers(index)
+            if axis.joint not in paths or not triggers:
                 continue
-            for name, trigger in outputs.triggers(index).items():
-                prediction = predict(trigger, paths[axis.joint], outputs.units[index])
-                plans.append(OutputPlan(outputs.find(name)[1], outputs.units[index], prediction))
+            foreseen = {name: Foresight(trigger, units) for name, trigger in triggers.items()}
+            for path in paths[axis.joint]:
+                for foresight in foreseen.values():
+                    foresight.extend(path)
+            for name, foresight in foreseen.items():
+                plans.append(OutputPlan(outputs.find(name)[1], units, foresight.prediction()))
         return cls(tuple(plans), tuple(outputs.notices))
 
     @property

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,10 +34,26 @@ from epos2_ros.protocol.group import Phase
 from epos2_ros.protocol.timekeeper import HEARTBEAT_PERIOD_US
 
 Array = NDArray[np.float64]
+PIECE_MS = 1 << 17  # looked at in one piece
 
 SYNC_BITS, HEARTBEAT_BITS, CONTROLWORD_BITS, STAMP_BITS, PDO_BITS = map(
     worst_case_bits, (0, 1, 2, 4, 8)
 )
+
+
+class Piece(NamedTuple):
+    """A part of the motion of one axis; it begins with the millisecond that ended the last."""
+
+    k: NDArray[np.int64]  # path time [ms]
+    executed: Executed
+    error_qc: Array  # executed less commanded position
+
+    @property
+    def path(self) -> Path:
+        """What its drive executes."""
+        position = self.executed.position_qc.astype(np.float64)
+        velocity = self.executed.velocity_qc_s.astype(np.float64)
+        return Path(1000.0 * self.k.astype(np.float64), position, velocity)
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,24 +64,37 @@ class AxisPlan:
     units: AxisUnits
     start_qc: int  # where it stands
     records: tuple[Record, ...]  # as sent; the last, of time 0, ends the motion
-    commanded_qc: Array  # at k = 0 … end [ms]
-    executed: Executed  # at the same k
+    reference: Reference
+    column: int  # of the axis in the reference
 
-    @property
-    def error_qc(self) -> Array:
-        """Executed less commanded position at every millisecond [qc]."""
-        return np.asarray(self.executed.position_qc - self.commanded_qc)
+    def pieces(self) -> Iterator[Piece]:
+        """The whole motion, so much of it at a time that memory does not grow with its length."""
+        start_qc, velocity, begin_ms = self.start_qc, 0, 0
+        for records in _batches(self.records):
+            drive = executed(start_qc, records, self.units.velocity_unit_qc_s, velocity)
+            k = begin_ms + np.arange(len(drive.position_qc))
+            commanded_qc = self.reference.positions(k)[:, self.column]
+            yield Piece(k, drive, np.asarray(drive.position_qc - commanded_qc))
+            start_qc, velocity, begin_ms = records[-1].position, records[-1].velocity, int(k[-1])
 
-    def curve(self, order: int) -> Array:
-        """Executed position, velocity or acceleration at every millisecond, in joint units."""
-        drive = np.asarray(self.executed[order], dtype=np.float64)
-        return self.units.from_qc_s(drive) if order else self.units.from_qc(drive)
+    def samples(self, step_ms: int) -> Piece:
+        """Every `step_ms`-th millisecond of it. At a knot the acceleration is that before it."""
+        parts = []
+        for number, (k, drive, error_qc) in enumerate(self.pieces()):
+            here = (k % step_ms == 0) & ((k > k[0]) | (number == 0))
+            parts.append((k[here], *(column[here] for column in drive), error_qc[here]))
+        k, *curves, error_qc = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+        return Piece(k, Executed(*curves), error_qc)
 
-    @property
-    def path(self) -> Path:
-        """What its drive executes."""
-        position, velocity = (column.astype(np.float64) for column in self.executed[:2])
-        return Path(1000.0 * np.arange(len(position), dtype=np.float64), position, velocity)
+    @cached_property
+    def extremes(self) -> tuple[float, float, float]:
+        """Lowest and highest position [unit], and largest error [qc]."""
+        lowest, highest, error_qc = math.inf, -math.inf, 0.0
+        for piece in self.pieces():
+            position = self.units.from_qc(piece.path.position_qc)
+            lowest, highest = min(lowest, position.min()), max(highest, position.max())
+            error_qc = max(error_qc, np.abs(piece.error_qc).max())
+        return float(lowest), float(highest), float(error_qc)
 
     @property
     def peaks(self) -> tuple[float, float]:
@@ -78,6 +109,20 @@ class AxisPlan:
         """Path time of each record, the last one aside, and of the start before them."""
         times = [record.time for record in self.records if record.time > 0]
         return np.cumsum([0, *times])
+
+
+def _batches(records: Sequence[Record]) -> Iterator[list[Record]]:
+    """Those of a piece of the motion; the one that ends it, of time 0, comes with the last."""
+    batch: list[Record] = []
+    duration_ms = 0
+    for record in records:
+        batch.append(record)
+        duration_ms += record.time
+        if duration_ms >= PIECE_MS:
+            yield batch
+            batch, duration_ms = [], 0
+    if duration_ms or len(records) <= 1:
+        yield batch
 
 
 @dataclass(frozen=True)
@@ -163,10 +208,10 @@ def make_plan(trajectory: Trajectory, config: DriverConfig, start: Sequence[floa
         if due_ms <= 0:
             ready_us.append((time.perf_counter() - begun_s) * 1e6)
 
-    k = np.arange(reference.end_ms + 1)
-    commanded_qc = reference.positions(k)
     axes = tuple(
-        _axis_plan(axis, start_qc, by_node[axis.node_id], commanded_qc[:, column])
+        AxisPlan(
+            axis, AxisUnits.of(axis), start_qc, tuple(by_node[axis.node_id]), reference, column
+        )
         for column, (axis, start_qc) in enumerate(zip(config.axes, starts_qc, strict=True))
     )
     return Plan(
@@ -177,16 +222,11 @@ def make_plan(trajectory: Trajectory, config: DriverConfig, start: Sequence[floa
         axes,
         _bus_load(config, axes, np.array(sent_ms), reference.end_ms),
         _latency(config, ready_us),
-        OutputPlans.of(whole, {axis.config.joint: axis.path for axis in axes}),
+        OutputPlans.of(
+            whole,
+            {axis.config.joint: (piece.path for piece in axis.pieces()) for axis in axes},
+        ),
     )
-
-
-def _axis_plan(
-    axis: AxisConfig, start_qc: int, records: list[Record], commanded_qc: Array
-) -> AxisPlan:
-    units = AxisUnits.of(axis)
-    drive = executed(start_qc, records, units.velocity_unit_qc_s)
-    return AxisPlan(axis, units, start_qc, tuple(records), commanded_qc, drive)
 
 
 def _bus_load(

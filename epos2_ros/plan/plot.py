@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,9 +13,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from epos2_ros.plan.planning import Array, AxisPlan, Plan
+from epos2_ros.plan.planning import Array, AxisPlan, Piece, Plan
 
 ORDERS = ("position", "velocity", "acceleration")  # derivatives of the curves
+DRAWN = 200_000  # instants of each curve, at most
 ROW_INCH, COLUMN_INCH = 1.9, 4.2
 Style = Mapping[str, Any]
 COMMANDED: Style = {"color": "0.78", "linewidth": 3.5, "solid_capstyle": "butt"}
@@ -43,21 +44,22 @@ def _figure(plan: Plan, title: str) -> Figure:
     size = columns * COLUMN_INCH, 1.0 + len(plan.axes) * ROW_INCH
     figure = Figure(figsize=size, layout="constrained")
     grid = figure.subplots(len(plan.axes), columns, sharex=True, squeeze=False)
-    t_s = np.arange(plan.reference.end_ms + 1) / 1000
-    for order, quantity in enumerate(ORDERS):
-        commanded = plan.reference.evaluate(t_s, order)
-        for row, axis in enumerate(plan.axes):
-            _draw_curves(grid[row, order], axis, t_s, commanded[:, row], order)
-            _draw_limits(grid[row, order], _bounds(plan, row, order))
-        grid[0, order].set_title(quantity)
+    step_ms = 1 + plan.reference.end_ms // DRAWN
+    t_s = np.arange(0, plan.reference.end_ms + 1, step_ms) / 1000
     for row, axis in enumerate(plan.axes):
-        _draw_error(grid[row, -1], axis, t_s, plan.config.tolerance)
-    grid[0, -1].set_title("executed − commanded")
+        samples, knots = axis.samples(step_ms), Knots.of(axis)
+        for order in range(len(ORDERS)):
+            commanded = plan.reference.evaluate(t_s, order)[:, row]
+            _draw_curves(grid[row, order], axis, samples, knots, commanded, order)
+            _draw_limits(grid[row, order], _bounds(plan, row, order))
+        _draw_error(grid[row, -1], samples, knots, plan.config.tolerance)
+    for column, quantity in enumerate((*ORDERS, "executed − commanded")):
+        grid[0, column].set_title(quantity)
     for axes in grid.flat:
         axes.grid(alpha=0.25)
         axes.margins(x=0.01)
     for axes in grid[-1]:
-        axes.set_xlabel("path time [s]")
+        axes.set_xlabel("path time [s]" if step_ms == 1 else f"path time [s], every {step_ms} ms")
     figure.align_ylabels()
     figure.suptitle(title, x=0.01, ha="left")
     figure.legend(
@@ -75,13 +77,37 @@ def _figure(plan: Plan, title: str) -> Figure:
     return figure
 
 
-def _draw_curves(axes: Axes, axis: AxisPlan, t_s: Array, commanded: Array, order: int) -> None:
-    executed = axis.curve(order)
+class Knots(NamedTuple):
+    """Where the records of an axis end; of very many every so many."""
+
+    t_s: Array
+    curves_qc: tuple[Array, Array]  # position and velocity
+    error_qc: Array
+
+    @classmethod
+    def of(cls, axis: AxisPlan) -> Knots:
+        knots_ms = axis.knots_ms
+        rows = [(axis.start_qc, 0), *((r.position, r.velocity) for r in axis.records if r.time > 0)]
+        every = 1 + len(rows) // DRAWN
+        position, velocity = np.array(rows[::every], dtype=np.float64).T
+        commanded_qc = axis.reference.positions(knots_ms[::every])[:, axis.column]
+        curves = position, velocity * axis.units.velocity_unit_qc_s
+        return cls(knots_ms[::every] / 1000, curves, position - commanded_qc)
+
+
+def _draw_curves(
+    axes: Axes, axis: AxisPlan, samples: Piece, knots: Knots, commanded: Array, order: int
+) -> None:
+    def in_units(curve: Array) -> Array:
+        return axis.units.from_qc_s(curve) if order else axis.units.from_qc(curve)
+
+    t_s = samples.k / 1000
     until = -1 if order == 2 else None  # in its last instant it already rests
     axes.plot(t_s[:until], commanded[:until], **COMMANDED)
-    axes.plot(t_s, executed, **EXECUTED)
+    executed = np.asarray(samples.executed[order], dtype=np.float64)
+    axes.plot(t_s, in_units(executed), **EXECUTED)
     if order < 2:  # the acceleration jumps at knots
-        axes.plot(t_s[axis.knots_ms], executed[axis.knots_ms], **KNOTS)
+        axes.plot(knots.t_s, in_units(knots.curves_qc[order]), **KNOTS)
     unit = axis.units.unit + ("", "/s", "/s²")[order]
     axes.set_ylabel(f"[{unit}]" if order else f"{axis.config.joint}\n[{unit}]")
 
@@ -103,9 +129,9 @@ def _draw_limits(axes: Axes, bounds: tuple[float, float]) -> None:
             axes.axhline(bound, **LIMIT)
 
 
-def _draw_error(axes: Axes, axis: AxisPlan, t_s: Array, tolerance_qc: float) -> None:
+def _draw_error(axes: Axes, samples: Piece, knots: Knots, tolerance_qc: float) -> None:
     axes.axhspan(-tolerance_qc, tolerance_qc, **TOLERANCE)
-    axes.plot(t_s, axis.error_qc, **EXECUTED)
-    axes.plot(t_s[axis.knots_ms], axis.error_qc[axis.knots_ms], **KNOTS)
+    axes.plot(samples.k / 1000, samples.error_qc, **EXECUTED)
+    axes.plot(knots.t_s, knots.error_qc, **KNOTS)
     axes.set_ylim(-1.15 * tolerance_qc, 1.15 * tolerance_qc)
     axes.set_ylabel("[qc]")

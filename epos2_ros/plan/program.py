@@ -35,6 +35,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         problem = f"trajectory refused: {error}"
     except Epos2RosError as error:
         problem = str(error)
+    except BrokenPipeError:
+        raise  # whoever reads the table has seen enough
     except OSError as error:
         problem = f"{error.filename}: {error.strerror}"
     except KeyboardInterrupt:

@@ -8,8 +8,6 @@ from collections.abc import Sequence
 from html import escape
 from typing import TextIO
 
-import numpy as np
-
 from epos2_ros.bus.settings import ACCELERATION_HEADROOM, ROUNDING_S, VELOCITY_HEADROOM
 from epos2_ros.motion.limits import RELATIVE_SLACK
 from epos2_ros.plan import move, outputs
@@ -132,15 +130,15 @@ def figures(plan: Plan) -> list[tuple[str, str]]:
 
 def _row(plan: Plan, axis: AxisPlan, column: int) -> tuple[str, ...]:
     config, limits = axis.config, plan.limits
-    position = axis.curve(0)
+    lowest, highest, error_qc = axis.extremes
     velocity, acceleration = axis.peaks
     return (
         f"{config.joint} [{axis.units.unit}]",
         f"{len(axis.records)}",
         _per_second(len(axis.records), plan),
-        f"{np.max(np.abs(axis.error_qc)):.2f}",
-        _fixed(np.min(position), 5),
-        _fixed(np.max(position), 5),
+        f"{error_qc:.2f}",
+        _fixed(lowest, 5),
+        _fixed(highest, 5),
         _range(config.min_position, config.max_position),
         *_against(velocity, float(limits.velocity[column]), 4),
         *_against(acceleration, float(limits.acceleration[column]), 3),
@@ -163,7 +161,7 @@ def _against(value: float, limit: float, digits: int) -> tuple[str, str]:
     return mark + _fixed(value, digits), f"{limit:.4g}" if math.isfinite(limit) else "any"
 
 
-def _fixed(value: float | np.float64, digits: int) -> str:
+def _fixed(value: float, digits: int) -> str:
     return f"{round(float(value), digits) + 0.0:.{digits}f}"  # never -0.00
 
 
