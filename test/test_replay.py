@@ -13,6 +13,7 @@ import re
 import struct
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -30,6 +31,7 @@ from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.protocol.execution import Execution
 from epos2_ros.protocol.group import Phase
 from epos2_ros.replay import program
+from epos2_ros.sim.copley import Copley
 from epos2_ros.sim.epos2 import Epos2
 
 QC_PER_RAD = 2000 * 100 / (2 * math.pi)
@@ -277,6 +279,26 @@ def test_take_overs_stops_and_later_trajectories_are_run_again_the_same(tmp_path
     said = replay(tmp_path / "run.asc", "--brief")
     assert said.count("asked to stop on the path") == said.count("quick stop: done") == 1
     assert not said.count("≠")
+
+
+def test_moves_of_copley_axes_are_run_again_the_same(tmp_path, replay):
+    first, second = axes(2)
+    limits = {"max_velocity": 2.0, "max_acceleration": 4.0}
+    config = DriverConfig(axes=(first, replace(second, drive="copley", **limits)))
+    drives = [Epos2(1, drift_ppm=20.0), Copley(2)]
+    made = Recorded(tmp_path / "run.asc", config, drives)
+    made.enable()
+    made.wait(made.machine.move_to({"joint_2": 0.3}))
+    made.machine.move_to({"joint_2": -0.3})
+    made.run(0.3)
+    made.wait(made.group.halt())
+    made.close()
+    said = replay(tmp_path / "run.asc")
+    assert said.count("asked to move joint_2 to 0.3") == 1
+    assert said.count("joint_2 .*state: .* → operation enabled") == 1
+    assert said.count("joint_2 .*controlword .*new set-point") >= 2
+    assert said.count("halt: done") == 1
+    assert not said.count("≠|FAULT")
 
 
 def test_how_far_the_clocks_are_off_is_seen(tmp_path, replay):
