@@ -59,6 +59,8 @@ def read_trajectories(lines: Iterable[str], source: str) -> Iterator[Trajectory]
                 yield _trajectory(message, source)
     except (ValueError, yaml.YAMLError) as error:  # no UTF-8, no YAML, no such date
         raise Epos2RosError(f"can't read {source}: {_one_line(error)}") from error
+    except RecursionError as error:
+        raise Epos2RosError(f"can't read {source}: it is nested too deep") from error
     if empty:
         raise Epos2RosError(f"{source} is empty")
 

@@ -32,6 +32,7 @@ _SPECIAL = re.compile(r"[+-]?(\.inf|\.Inf|\.INF|(?i:inf(inity)?|nan))|\.nan|\.Na
 _QUOTED = ("'", '"')
 _PLAIN = (None, "")  # the style of what is neither quoted nor a block
 _STRING_TAG = "tag:yaml.org,2002:str"
+_LONGEST_INTEGER = 100  # characters, zeros in front included; Python reads no more than 4300
 _SMALLEST_NORMAL = 2.0**-1022
 _TYPE_NAMES = {bool: "true or false", int: "a whole number", float: "a number", str: "text"}
 # The C parser where PyYAML has it (libyaml); the other does the same, slower.
@@ -65,6 +66,8 @@ class ParameterFile:
             raise ConfigurationError(f"can't read {source}: {' '.join(str(error).split())}") from (
                 error
             )
+        except RecursionError as error:
+            raise ConfigurationError(f"can't read {source}: it is nested too deep") from error
 
     def of(self, node: str) -> dict[str, Any]:
         """What reaches the node of this full name; later sections win, as with rcl.
@@ -198,7 +201,8 @@ def _value(event: Any) -> Any:
         return True
     if text in _FALSE:
         return False
-    if _INTEGER.fullmatch(text) and -(2**63) <= (whole := _whole(text)) < 2**63:
+    short = len(text) <= _LONGEST_INTEGER
+    if short and _INTEGER.fullmatch(text) and -(2**63) <= (whole := _whole(text)) < 2**63:
         return whole
     if _DECIMAL.fullmatch(text) or _SPECIAL.fullmatch(text):
         number = _number(text)
