@@ -44,6 +44,7 @@ class Bench:
     `stamp_us(t)`: the host's time stamp of a frame that was on the bus at `t`.
     `late_us()`: by how much the host's thread wakes up late.
     `host_queue`: frames the adapter takes before it is full; None: without end.
+    `bus`: that of an earlier host, with the drives on it.
     """
 
     def __init__(
@@ -52,13 +53,14 @@ class Bench:
         drives: Sequence[Epos2] | None = None,
         bring_up: bool = True,
         host_queue: int | None = None,
+        bus: SimulatedBus | None = None,
     ) -> None:
         self.config = config or DriverConfig(axes=axes())
-        self.bus = SimulatedBus(bitrate=self.config.bitrate, host_queue=host_queue)
+        self.bus = bus or SimulatedBus(bitrate=self.config.bitrate, host_queue=host_queue)
         self.stamp_us: Callable[[float], float] = lambda t_us: t_us
         self.late_us: Callable[[], float] = lambda: 0.0
         self.drives = list(drives or [Epos2(axis.node_id) for axis in self.config.axes])
-        for drive in self.drives:
+        for drive in self.drives if bus is None else ():
             self.bus.add(drive)
         self.machine = machine_of(self.config)
         self.group, self.path = self.machine.group, self.machine.path

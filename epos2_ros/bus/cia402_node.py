@@ -29,6 +29,7 @@ FAULT_RESET_TIMEOUT_S = 1.0  # real drives take 25 ms
 PDO_INVALID, PDO_NO_REMOTE = 1 << 31, 1 << 30  # in a PDO's COB-ID (CiA 301, 7.5.2.35)
 DRIVE_HEARTBEAT_MS = 200
 HOST_HEARTBEAT_TIMEOUT_MS = 500  # the drive stops by itself when the host is silent so long
+GOES_ON = "it would go on moving when the host falls silent"
 STATE_TIMEOUT_S = 5.0
 ERROR_FIELD = 0x1003
 
@@ -92,12 +93,13 @@ class Cia402Node:
     def watch_host(self) -> None:
         """The drive stops by itself when the host's heartbeat fails to appear."""
         watched = HOST_NODE_ID << 16 | HOST_HEARTBEAT_TIMEOUT_MS
-        self.objects.write(
+        self.objects.keep(
             epos2.CONSUMER_HEARTBEAT_TIME,
             watched,
             1,
             f"let it watch the host's heartbeat (node {HOST_NODE_ID}, {HOST_HEARTBEAT_TIMEOUT_MS} "
             f"ms), {self.objects.name(epos2.CONSUMER_HEARTBEAT_TIME, 1)}",
+            GOES_ON,
         )
 
     def _check_identity(self) -> None:

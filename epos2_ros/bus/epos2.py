@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from epos2_ros.bus.cia402_node import Cia402Node
+from epos2_ros.bus.cia402_node import GOES_ON, Cia402Node
 from epos2_ros.bus.link import Network
 from epos2_ros.errors import DriveError
 from epos2_ros.protocol import epos2
@@ -135,4 +135,7 @@ class Epos2Node:
         have stored one.
         """
         if self._objects.find(epos2.ABORT_CONNECTION_OPTION) not in (None, epos2.QUICK_STOP_OPTION):
-            self._objects.write(epos2.ABORT_CONNECTION_OPTION, epos2.QUICK_STOP_OPTION)
+            name = self._objects.name(epos2.ABORT_CONNECTION_OPTION)
+            attempt = f"let it stop when the host falls silent, {name}"
+            option = epos2.QUICK_STOP_OPTION
+            self._objects.keep(epos2.ABORT_CONNECTION_OPTION, option, 0, attempt, GOES_ON)

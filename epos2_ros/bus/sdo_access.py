@@ -110,6 +110,16 @@ class SdoAccess:
         data = self._variable(index, subindex).encode_raw(value)
         self._transfer(done, check, lambda: self._node.sdo.download(index, subindex, data))
 
+    def keep(self, index: int, value: int, subindex: int, attempt: str, lest: str) -> None:
+        """Set an object, and see that the drive keeps it; `lest`: what would come of it if not."""
+        self.write(index, value, subindex, attempt)
+        kept = self.read(index, subindex)
+        if kept != value:
+            raise DriveError(
+                f"{self._drive} does not keep {value} in {self.name(index, subindex)}, but {kept}: "
+                f"{lest}; check that its firmware is one that is supported"
+            )
+
     def _variable(self, index: int, subindex: int) -> canopen.objectdictionary.ODVariable:
         variable = self._node.object_dictionary.get_variable(index, subindex)
         if variable is None:

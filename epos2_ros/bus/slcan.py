@@ -19,7 +19,7 @@ import can
 from can.exceptions import error_check
 from can.interfaces.slcan import slcanBus
 
-WRITE_TIMEOUT_S = 0.2  # an adapter that takes nothing for so long is stuck
+WRITE_TIMEOUT_S = 1.0  # an adapter that takes nothing for so long is stuck
 LONGEST_LINE = 64  # bytes; a frame has up to 31
 _END = re.compile(rb"[\r\n\a]")  # of a line; \a: the command was refused
 _HEX = rb"[0-9A-Fa-f]"

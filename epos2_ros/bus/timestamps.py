@@ -3,17 +3,26 @@
 Everything runs on CLOCK_MONOTONIC in microseconds. Adapters stamp frames with the system's wall
 clock (SocketCAN's kernel stamps, `virtual`, `udp_multicast`) or with a clock of their own
 (hardware stamps, counting from when the adapter was plugged in).
+
+The wall clock may be set, forwards or back, at any moment, also between a frame's stamp and when it
+is read. So it is compared with the host's clock for each frame, and what it was before it was set
+is kept: a frame was on the bus at the latest time by any of these that is not to come yet.
 """
 
 from __future__ import annotations
 
 import math
 import time
+from collections import deque
 
 WALL_CLOCK_TOLERANCE_US = 5e6
 REREAD_US = 100_000.0  # both clocks are slewed alike: only a step of the wall clock parts them
+STEP_US = 2_000.0  # what is less is how long it takes to read two clocks
+STEPS_KEPT = 4
 UNDISTURBED_US = 5.0  # reading a clock before and after another takes less
 READINGS = 10
+EARLY_US = 1_000.0  # a frame is never seen before it was stamped, but for errors of the clocks
+WINDOW_US = 10e6  # over which an adapter's clock is compared with the host's
 
 
 def now_us() -> float:
@@ -40,9 +49,9 @@ class ReceiveClock:
 
     def __init__(self) -> None:
         self.source = "estimate: time of the send call and frame length"
-        self._offset_us: float | None = None  # host time minus the adapter's own clock
-        self._wall_offset_us = 0.0  # host time minus wall clock …
-        self._read_us = -math.inf  # … when it was last read
+        self._wall_offsets_us: deque[float] = deque(maxlen=STEPS_KEPT)  # host time minus wall clock
+        self._read_us = -math.inf  # when the last of them was read
+        self._own_clock = OwnClock()
 
     def host_us(self, stamp_s: float) -> float:
         """When a frame stamped `stamp_s` [s] by the adapter was on the bus, in host time [µs]."""
@@ -50,16 +59,45 @@ class ReceiveClock:
         if not stamp_s:
             self.source = "time of reception"
             return now
-        if now > self._read_us + REREAD_US:
-            self._wall_offset_us, self._read_us = wall_offset_us(), now
-        on_bus = stamp_s * 1e6 + self._wall_offset_us
-        if abs(on_bus - now) < WALL_CLOCK_TOLERANCE_US:
+        self._compare(now)
+        stamp_us = stamp_s * 1e6
+        latest = max(
+            (at for offset in self._wall_offsets_us if (at := stamp_us + offset) < now + EARLY_US),
+            default=-math.inf,
+        )
+        if latest > now - WALL_CLOCK_TOLERANCE_US:
             self.source = "system clock of the adapter's driver"
-            return min(now, on_bus)
-        # A clock of its own: a frame is never seen before it was stamped, so the smallest delay
-        # seen is the best estimate of where that clock's zero is.
+            return min(now, latest)
         self.source = "hardware clock of the adapter"
-        offset = now - stamp_s * 1e6
-        if self._offset_us is None or offset < self._offset_us:
-            self._offset_us = offset
-        return stamp_s * 1e6 + self._offset_us
+        return self._own_clock.host_us(stamp_us, now)
+
+    def _compare(self, now: float) -> None:
+        """Read the wall clock anew where it was set, or was not read for long."""
+        last = self._wall_offsets_us[-1] if self._wall_offsets_us else math.inf
+        stepped = abs(now - time.time_ns() / 1000 - last) > STEP_US
+        if stepped or now > self._read_us + REREAD_US:
+            offset, self._read_us = wall_offset_us(), now
+            if abs(offset - last) > STEP_US:
+                self._wall_offsets_us.append(offset)
+            else:
+                self._wall_offsets_us[-1] = offset
+
+
+class OwnClock:
+    """A clock that counts from anywhere, at nearly the host's rate.
+
+    A frame is never seen before it was stamped, so the smallest delay seen lately is the best
+    estimate of where that clock's zero is.
+    """
+
+    def __init__(self) -> None:
+        self._offset_us = self._offset_before_us = math.inf  # smallest of this window, of the last
+        self._until_us = -math.inf
+
+    def host_us(self, stamp_us: float, now: float) -> float:
+        """When it stood at `stamp_us`, read at `now` [host µs]."""
+        if now > self._until_us:
+            self._offset_before_us, self._offset_us = self._offset_us, math.inf
+            self._until_us = now + WINDOW_US
+        self._offset_us = min(self._offset_us, now - stamp_us)
+        return stamp_us + min(self._offset_us, self._offset_before_us)

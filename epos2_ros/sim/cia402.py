@@ -82,6 +82,8 @@ class Status:
     HOME_REFERENCED = 1 << 15
 
 
+_NO_ACTION, _DISABLE_VOLTAGE = 0, 2  # in 0x6007
+
 _POWERED = (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE)
 _POWERING_UP = (State.REFRESH, State.MEASURE_INIT)
 
@@ -486,11 +488,18 @@ class Drive(Slave):
             self.emergency(code)
 
     def _on_communication_error(self, code: int) -> None:
-        """A heartbeat that fails to appear matters as 0x6007 says: 0 is "no action"."""
-        if code == HEARTBEAT_ERROR and self._abort_connection.value == 0:
+        """What a heartbeat that fails to appear does is said by 0x6007 (CiA 402).
+
+        0: no action; 1: fault; 2: disable voltage; 3: quick stop. READING: after 2 and 3 the drive
+        is in fault, too, as for every emergency.
+        """
+        option = self._abort_connection.value
+        if code == HEARTBEAT_ERROR and option == _NO_ACTION:
             self.emergency(code)
-        else:
-            self._fault(code)
+            return
+        if code == HEARTBEAT_ERROR and option == _DISABLE_VOLTAGE and self.state in _POWERED:
+            self._switch_off(State.SWITCH_ON_DISABLED)
+        self._fault(code)
 
     # --- modes of operation -------------------------------------------------------------
 

@@ -28,6 +28,7 @@ _LONGEST_WAIT_S = 0.1  # for a frame, so that `stop` is noticed
 _OLDEST_STAMP_US = 1e6  # an older time stamp is of another clock
 _UNDISTURBED_US = 5.0  # reading three clocks takes less
 _CLOCK_READINGS = 10
+_STEP_US = 2_000.0  # reading them takes less
 _REREAD_US = 100_000.0  # the two clocks go alike; only a step of the wall clock parts them
 
 
@@ -132,6 +133,7 @@ class RealtimeSimulator:
         self._queue: deque[tuple[Slave, int, bytes]] = deque(maxlen=TRANSMIT_QUEUE)
         self._wall_offset_us = 0.0
         self._wall_read_us = -math.inf
+        self._offset_before_us = math.inf  # before the wall clock was set last
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="simulated drives", daemon=True)
 
@@ -194,12 +196,20 @@ class RealtimeSimulator:
         return True
 
     def _time_of(self, message: can.Message) -> float:
-        """When the frame was on the bus; now, if its stamp is not of the system's wall clock."""
+        """When the frame was on the bus; now, if its stamp is not of the system's wall clock.
+
+        That clock may be set between the stamp and now: then it is one of before, or of after.
+        """
         now = now_us()
-        if now > self._wall_read_us + _REREAD_US:
-            self._wall_offset_us, self._wall_read_us = wall_offset_us(), now
-        stamped = message.timestamp * 1e6 + self._wall_offset_us
-        return stamped if now - _OLDEST_STAMP_US < stamped < now else now
+        stepped = abs(now - time.time_ns() / 1000 - self._wall_offset_us) > _STEP_US
+        if stepped or now > self._wall_read_us + _REREAD_US:
+            offset, self._wall_read_us = wall_offset_us(), now
+            if abs(offset - self._wall_offset_us) > _STEP_US:
+                self._offset_before_us = self._wall_offset_us
+            self._wall_offset_us = offset
+        offsets = self._wall_offset_us, self._offset_before_us
+        times = [message.timestamp * 1e6 + offset for offset in offsets]
+        return max((t_us for t_us in times if now - _OLDEST_STAMP_US < t_us < now), default=now)
 
     def _flush(self) -> bool:
         """Sends what the drives have to say; `False` if the interface didn't take all of it."""
