@@ -462,7 +462,7 @@ def test_parameter_file_has_what_the_drive_is_set_to() -> None:
     drive.dictionary.download(0x608B, 0, b"\xfe")
     drive.dictionary.download(0x607D, 1, struct.pack("<i", -777))
     text = parameter_file(Scanned(drive, listen_s=0).survey, CAN0)
-    axis = yaml.safe_load(text)["/epos2_driver"]["ros__parameters"]["axes"]["joint_3"]
+    axis = yaml.safe_load(text)["/**"]["ros__parameters"]["axes"]["joint_3"]
     assert (axis["max_following_error"], axis["velocity_notation"]) == (555, -2)
     assert "the drive's are -777 and 2147483647 qc" in text
 

@@ -160,7 +160,7 @@ def _arguments(argv: Sequence[str]) -> argparse.Namespace:
         description="The stored parameters of a drive as a file, to compare and to make another "
         "drive the same. Motor and regulator settings included; node id and bit rate not.",
     )
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    commands = parser.add_subparsers(required=True, dest="command")
     file = argparse.ArgumentParser(add_help=False)
     file.add_argument("file", type=Path, metavar="FILE", help="from `drive dump`")
     place = argparse.ArgumentParser(add_help=False)

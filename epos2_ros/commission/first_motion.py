@@ -202,9 +202,9 @@ class FirstMotion:
             return self._bad(reason)
         seconds = self._duration(amount)
         talk.say(
-            f"{joint} will move by {amount:+g} {unit} and back, {seconds:.3g} s each way, at most "
-            f"{PEAK * abs(amount) / seconds:.3g} {unit}/s. All drives are switched on and hold. "
-            "Keep a hand on the emergency stop; Ctrl-C halts and switches off."
+            f"{joint} will move by {amount:+.4g} {unit} and back, {seconds:.3g} s each way, at "
+            f"most {PEAK * abs(amount) / seconds:.3g} {unit}/s. All drives are switched on and "
+            "hold. Keep a hand on the emergency stop; Ctrl-C halts and switches off."
         )
         if not talk.agreed("move now?"):
             talk.say("nothing moved")
@@ -216,7 +216,7 @@ class FirstMotion:
         self._report(amount, 2 * seconds + DWELL_S, seen)
         if abs(seen.farthest - seen.start - amount) > REACHED * abs(amount):
             return self._bad("it did not get there: tune the regulators, look at the load")
-        if not talk.agreed(f"did it go by {amount:+g} {unit} and back, in this direction?"):
+        if not talk.agreed(f"did it go by {amount:+.4g} {unit} and back, in this direction?"):
             return self._bad("sign or scale is wrong: check the position by hand")
         return True
 
@@ -306,7 +306,7 @@ class FirstMotion:
         unit, talk = self._unit, self._talk
         went, left = seen.farthest - seen.start, seen.end - seen.start
         counts = went * self._units.qc_per_unit
-        talk.say(f"went by {went:+.5g} {unit} ({counts:+.0f} counts), {amount:+g} {unit} wanted")
+        talk.say(f"went by {went:+.5g} {unit} ({counts:+.0f} counts), {amount:+.4g} {unit} wanted")
         talk.say(
             f"came back to {left * self._units.qc_per_unit:+.0f} counts of where it was, in "
             f"{seen.seconds:.2f} s of {expected_s:.2f} s"

@@ -84,8 +84,8 @@ def _doubled_ids(survey: Survey, wiring: Wiring) -> Iterator[str]:
             serials = " and ".join(map(str, _serial_numbers(found, survey)))
             which = f" (serial numbers {serials})" if " and " in serials else ""
             yield (
-                f"node {node_id}: two devices answer to this id{which}: set another one on one of "
-                "them and switch it off and on"
+                f"node {node_id}: two devices answer to this id{which}: give one of them another "
+                "and switch it off and on"
             )
         elif found.answers.get(SERIAL) is None and wiring.error_classes & PROTOCOL:
             yield (

@@ -22,7 +22,7 @@ HEAD = """\
 # Units are those of the joint: rad for a revolute one, m for a prismatic one.
 #   ros2 run epos2_ros check --params THIS_FILE --joint JOINT     # the first motion, step by step
 #   ros2 run epos2_ros driver --ros-args --params-file THIS_FILE
-/epos2_driver:
+/**:                            # any node name and namespace
   ros__parameters:
     autostart: false            # wait for `ros2 lifecycle set /epos2_driver configure`, `activate`
     can:
@@ -30,7 +30,7 @@ HEAD = """\
       channel: {place.channel!r}
       bitrate: {place.bitrate}
     simulate: {simulate}
-    joints: [{joints}]          # <- the order of /joint_states; names as below
+    joints: [{joints}]  # <- the order of /joint_states; names as below
     axes:"""
 
 
