@@ -6,6 +6,7 @@ done to the drives.
 
 from __future__ import annotations
 
+import gzip
 import math
 import os
 import random
@@ -440,6 +441,13 @@ def test_a_trajectory_that_would_be_refused_is_told(tmp_path, replay):
     assert said.count("≠ the trajectory would be refused: .*velocity 0.1875 rad/s .*allowed") == 1
 
 
+def test_a_log_of_another_version_says_so(whole, tmp_path, replay):
+    text = re.sub(r'"version": \d+', '"version": 1', whole.read_text())
+    (tmp_path / "old.asc").write_text(text)
+    said = replay(tmp_path / "old.asc", "--brief")
+    assert said.last[-1].startswith("note: old.asc has events of another version (1, here ")
+
+
 def test_a_driver_that_is_told_otherwise_differs_in_its_records_alone(tmp_path, replay):
     made = moving(tmp_path / "run.asc")
     made.wait(made.group.motion)
@@ -468,6 +476,9 @@ def test_a_log_that_has_lost_its_beginning_is_entered_where_the_axes_stand(tmp_p
     assert len(files) >= 4
     whole = replay(tmp_path / "run.asc", "--brief")
     assert not whole.count("≠")
+    for file in files:
+        file.with_name(f"{file.name}.gz").write_bytes(gzip.compress(file.read_bytes()))
+    assert replay(tmp_path / "run.asc.gz", "--brief").lines == whole.lines
     for keep in (len(files) - 1, 2):
         for gone in files[keep:]:
             gone.unlink(missing_ok=True)  # the oldest are deleted first

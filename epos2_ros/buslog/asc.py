@@ -4,7 +4,7 @@
     base hex  timestamps absolute
     internal events logged
     Begin Triggerblock Fri Nov 27 17:41:01.250 2026
-    // @0.000000000 log {"version": 1, "host_us": 81234567.0, "wall_s": 1795801261.25, …}
+    // @0.000000000 log {"version": 2, "host_us": 81234567.0, "wall_s": 1795801261.25, …}
     // @0.000012000 configuration {…}
     0.004817031 1  601             Tx   d 8 40 00 10 00 00 00 00 00
     0.005125874 1  581             Rx   d 8 43 00 10 00 92 01 02 00
@@ -24,7 +24,7 @@ import re
 from datetime import datetime
 from typing import Any, NamedTuple
 
-VERSION = 1
+VERSION = 2  # of the events; another when the protocol layer is asked or answered otherwise
 CHANNEL = 1
 _FRAME = re.compile(
     r"\s*(?P<t>\d+\.\d+)\s+\d+\s+(?P<id>[0-9A-F]+)(?P<extended>x?)\s+(?P<way>Rx|Tx)\s+"

@@ -206,8 +206,9 @@ def _line(t_s: float, what: str, data: Any) -> str:
 
 
 def numbered(file: Path, number: int) -> Path:
-    """The `number`-th file before `file`."""
-    return file.with_name(f"{file.stem}.{number}{file.suffix}")
+    """The `number`-th file before `file`, compressed if that is."""
+    suffix = f"{SUFFIX}.gz" if file.name.endswith(f"{SUFFIX}.gz") else file.suffix
+    return file.with_name(f"{file.name.removesuffix(suffix)}.{number}{suffix}")
 
 
 def earlier_files(file: Path) -> Iterator[Path]:

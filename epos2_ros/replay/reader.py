@@ -134,6 +134,11 @@ class LogReader:
         if about is None:
             return [self._file]
         self.host_us, self.wall_s = float(about["host_us"]), float(about["wall_s"])
+        if about.get("version") != asc.VERSION:
+            self.complaints.append(
+                f"{self._file.name} has events of another version ({about.get('version')}, here "
+                f"{asc.VERSION}): lines with ≠ may come of that"
+            )
         files, part = [self._file], int(about["part"])
         for earlier in earlier_files(self._file):
             before = _about(earlier) if part > 1 else None
@@ -176,8 +181,8 @@ def _about(file: Path) -> dict[str, float] | None:
             except ValueError:
                 continue
             if isinstance(parsed, EventLine) and parsed.name == "log":
-                known = isinstance(parsed.data, dict) and {"host_us", "wall_s", "part"} <= set(
-                    parsed.data
-                )
-                return parsed.data if known else None
+                data = parsed.data if isinstance(parsed.data, dict) else {}
+                numbers = [data.get(name) for name in ("host_us", "wall_s", "part")]
+                known = all(isinstance(number, (int, float)) for number in numbers)
+                return data if known else None
     return None
