@@ -34,6 +34,16 @@ def main(argv: list[str] | None = None) -> int:
 
     A name that is none of the programs gives one line and 2, a missing ROS one line and 1.
     """
+    try:
+        status = _run(argv)
+        sys.stdout.flush()
+    except BrokenPipeError:  # `… | head` has seen enough, which is no error of either
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    return status
+
+
+def _run(argv: list[str] | None) -> int:
     name, *arguments = (sys.argv[1:] if argv is None else argv) or [""]
     if name in ("-h", "--help"):
         print(HELP)
@@ -53,12 +63,7 @@ def main(argv: list[str] | None = None) -> int:
             problem = "needs ROS 2: source its setup.bash, or pip install '.[ros]'"
         print(f"epos2_ros {name}: {problem}", file=sys.stderr)
         return 1
-    try:
-        status: int = program.main(arguments)
-        sys.stdout.flush()
-    except BrokenPipeError:  # `… | head` has seen enough, which is no error of either
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+    status: int = program.main(arguments)
     return status
 
 

@@ -79,6 +79,12 @@ def _lock_file(name: str) -> Path:
     return path
 
 
+@pytest.fixture(autouse=True, scope="session")
+def ros_log_folder(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """ROS writes no log into the home of whoever runs the tests, and needs none."""
+    os.environ.setdefault("ROS_LOG_DIR", str(tmp_path_factory.mktemp("ros_log")))
+
+
 @pytest.fixture
 def ros_domain_id() -> Iterator[int]:
     """A ROS domain of this test's own."""
