@@ -790,6 +790,12 @@ def test_what_is_not_heard_is_stale():
     assert (values["state"], values["not heard for [s]"]) == ("unknown", "7.2")
 
 
+def test_nothing_stands_at_minus_zero():
+    axis = axis_snapshot("a", 1, position=-0.0, velocity=-0.0)
+    state = messages.joint_state([axis], Time())
+    assert str([*state.position, *state.velocity]) == "[0.0, 0.0]"
+
+
 def test_joint_states_are_of_those_that_are_heard(world):
     driver = world.started()
     states = world.listen(JointState, "/joint_states")

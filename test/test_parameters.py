@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 import rclpy
+import yaml
 from rcl_interfaces.msg import ParameterType
 from rclpy.context import Context
 from rclpy.node import Node
@@ -16,7 +17,9 @@ from rclpy.parameter import Parameter
 
 from epos2_ros.config import AxisConfig, ClockLimits, DriverConfig, HomingConfig
 from epos2_ros.errors import ConfigurationError
+from epos2_ros.files import read_parameters
 from epos2_ros.node.parameters import Parameters
+from epos2_ros.parameters import DriverParameters
 
 CONFIG_FILES = sorted((Path(__file__).parents[1] / "config").glob("*.yaml"))
 
@@ -307,6 +310,40 @@ def test_the_shipped_parameter_files_are_valid(make, file):
     config = made.parameters.config()
     assert made.node.get_parameters_by_prefix("axes")
     assert config.simulate == (config.interface == "virtual")
+
+
+@pytest.mark.parametrize("file", CONFIG_FILES, ids=lambda file: file.stem)
+def test_what_ros2_param_dump_writes_makes_the_same_driver_and_plan(make, file, tmp_path):
+    """It writes all values, nested by the dots, under the node's full name."""
+    made = make(file=file)
+    names = made.node.list_parameters([], 0).names
+    values = {p.name: p.value for p in made.node.get_parameters(names)}
+    section: dict[str, Any] = {}
+    for name, value in values.items():
+        *parents, last = name.split(".")
+        place = section
+        for parent in parents:
+            place = place.setdefault(parent, {})
+        place[last] = value if isinstance(value, (str, int, float)) else list(value)
+    dumped = tmp_path / "dumped.yaml"
+    dumped.write_text(yaml.dump({"/epos2_driver": {"ros__parameters": section}}))
+    again = make(file=dumped).parameters.config()
+    assert again == made.parameters.config() == DriverParameters(read_parameters(dumped)).config()
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["shoulder_pan_joint", "left-arm/elbow", "panda.joint1", "Joint1", "6_axis"],
+)
+def test_joints_are_named_as_robots_name_them(make, name):
+    axis = make({"joints": [name], f"axes.{name}.node_id": 3}).parameters.config().axes[0]
+    assert (axis.joint, axis.node_id) == (name, 3)
+
+
+@pytest.mark.parametrize("name", ["", " ", "a b", "a:=b", "é", "/a", "a\nb", "{a}"])
+def test_a_joint_that_can_be_no_part_of_a_parameter_is_refused(make, name):
+    line = refusal(make({"joints": ["ok", name]}))
+    assert line.endswith("a list of 1 to 127 names of letters, digits, _, -, . and /, each once")
 
 
 def test_there_are_parameter_files_for_simulation_and_real_hardware():
