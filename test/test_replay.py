@@ -7,6 +7,7 @@ done to the drives.
 from __future__ import annotations
 
 import gzip
+import json
 import math
 import os
 import random
@@ -25,6 +26,7 @@ from recorded import Recorded, few
 from simulated_time import axes
 from two_processes import TARGET_M, Drives, rig
 
+from epos2_ros.buslog import inputs
 from epos2_ros.buslog.writer import earlier_files
 from epos2_ros.config import DriverConfig
 from epos2_ros.errors import DriveError, TrajectoryError
@@ -460,13 +462,16 @@ def test_a_driver_that_is_told_otherwise_differs_in_its_records_alone(tmp_path, 
     assert said.count("done: all axes have arrived") >= 1
 
 
-def test_a_log_that_has_lost_its_beginning_is_entered_where_the_axes_stand(tmp_path, replay):
-    made = Recorded(tmp_path / "run.asc", few(AXES, log_size=2.0))
+def test_a_log_that_has_lost_its_beginning_is_entered_where_the_axes_stand(
+    tmp_path, replay, monkeypatch
+):
+    monkeypatch.setattr(inputs, "STATE_US", 2e6)
+    made = Recorded(tmp_path / "run.asc", few(AXES, log_size=1.2))
     made.enable()
     for _ in range(2):
         made.path.submit(there_and_back(), None, made.now_us)
         made.wait(made.group.motion)
-        made.run(25.0)
+        made.run(4.0)
     made.path.submit(there_and_back(), None, made.now_us)
     made.run(3.0)
     following_error(made)
@@ -613,6 +618,35 @@ def test_garbage_within_is_left_out_counted_and_never_ends_the_replay(
     said = replay(tmp_path / "broken.asc")
     assert said.count("emergency: following error")
     assert sum("not a line of an ASC file" in line for line in said.last) <= 1
+
+
+@pytest.mark.parametrize("seed", range(int(os.environ.get("REPLAY_RUNS", "6"))))
+def test_events_that_no_driver_has_written_end_nothing(seed, whole, tmp_path, capsys):
+    rng = random.Random(seed)
+    junk = [None, True, -1, 0, 10**30, 1e308, math.nan, "", "x", [], {}, [[1]], {"a": 1}]
+
+    def spoil(value: object) -> object:
+        if not value or not isinstance(value, (list, dict)) or rng.random() < 0.2:
+            return rng.choice(junk)
+        places = list(value) if isinstance(value, dict) else range(len(value))
+        place = rng.choice(list(places))
+        changed = value.copy()
+        changed[place] = spoil(value[place])
+        return changed
+
+    lines = whole.read_text().splitlines(keepends=True)
+    events = [n for n, line in enumerate(lines) if re.match(r"// @\S+ \w+ [\[{]", line)]
+    configuration = next(n for n in events if " configuration " in lines[n])
+    for place in {*rng.sample(events, 8), *([configuration] if rng.random() < 0.7 else [])}:
+        head, name, data = lines[place].split(" ", 3)[1:]
+        spoilt = json.dumps(spoil(json.loads(data)))
+        lines[place] = f"// {head} {name} {spoilt}\n"
+    lines.insert(rng.randrange(20, len(lines)), f"// @1.0 fault {'[' * 100_000}\n")
+    (tmp_path / "spoilt.asc").write_text("".join(lines))
+    drawing = [] if seed else ["--output", str(tmp_path / "run.png")]
+    status = program.main([str(tmp_path / "spoilt.asc"), *drawing])
+    said = capsys.readouterr()
+    assert status == 0 and "end of the log" in said.out, said.err
 
 
 @pytest.mark.parametrize(

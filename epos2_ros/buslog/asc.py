@@ -26,6 +26,7 @@ from typing import Any, NamedTuple
 
 VERSION = 2  # of the events; another when the protocol layer is asked or answered otherwise
 CHANNEL = 1
+LONGEST_S = 1e9
 _FRAME = re.compile(
     r"\s*(?P<t>\d+\.\d+)\s+\d+\s+(?P<id>[0-9A-F]+)(?P<extended>x?)\s+(?P<way>Rx|Tx)\s+"
     r"(?P<kind>[dr])(?:\s+(?P<length>[0-9A-F]+)(?P<data>(?:\s+[0-9A-F]{1,3})*).*)?$",
@@ -97,8 +98,11 @@ def parse(line: str, base: int = 16) -> FrameLine | EventLine | None:
     `base` is that of identifiers and data, as the line `base` of the file says.
     """
     if event := _EVENT.match(line):
-        data = json.loads(event["data"]) if event["data"] else None
-        return EventLine(float(event["t"]), event["name"], data)
+        try:
+            data = json.loads(event["data"]) if event["data"] else None
+        except RecursionError:
+            raise ValueError("nested too deep") from None
+        return EventLine(_seconds(event["t"]), event["name"], data)
     if frame := _FRAME.match(line):
         length = int(frame["length"] or "0", 16)
         values = (frame["data"] or "").split()[:length]
@@ -107,14 +111,22 @@ def parse(line: str, base: int = 16) -> FrameLine | EventLine | None:
             raise ValueError("a frame cut short")
         kind = "remote" if remote else "extended" if frame["extended"] else "data"
         return FrameLine(
-            float(frame["t"]),
+            _seconds(frame["t"]),
             int(frame["id"], base),
             b"" if remote else bytes(int(value, base) for value in values),
             frame["way"] in ("Tx", "TX", "tx"),
             kind,
         )
     if error := _ERROR_FRAME.match(line):
-        return FrameLine(float(error["t"]), 0, b"", False, "error")
+        return FrameLine(_seconds(error["t"]), 0, b"", False, "error")
     if _SKIPPED.match(line):
         return None
     raise ValueError("not a line of an ASC file")
+
+
+def _seconds(text: str) -> float:
+    """A time stamp; ValueError for one that no log lasts to."""
+    seconds = float(text)
+    if seconds > LONGEST_S:
+        raise ValueError("a time beyond all logs")
+    return seconds

@@ -16,7 +16,7 @@ from epos2_ros.arguments import without_ros_arguments
 from epos2_ros.buslog import plain
 from epos2_ros.buslog.asc import EventLine, FrameLine
 from epos2_ros.config import DriverConfig
-from epos2_ros.errors import ConfigurationError, Epos2RosError
+from epos2_ros.errors import Epos2RosError
 from epos2_ros.files import read_parameters
 from epos2_ros.motion.units import AxisUnits
 from epos2_ros.parameters import DriverParameters
@@ -178,10 +178,10 @@ def _configuration(data: Any) -> tuple[DriverConfig | None, list[str]]:
     unknown: list[str] = []
     try:
         config = plain.from_plain(DriverConfig, data, unknown)
-        for axis in config.axes:
-            AxisUnits.of(axis)
-    except (TypeError, ValueError, ConfigurationError) as error:
-        return None, [f"the configuration in the log is not one of this version: {error}"]
+        Rerun(config, 0.0)  # no driver comes up with what this can't be made of
+    except (TypeError, ValueError, ArithmeticError, LookupError, Epos2RosError) as error:
+        why = " ".join(f"{type(error).__name__} {error}".split())
+        return None, [f"the configuration in the log is none that this version can have: {why}"]
     names = ", ".join(sorted(set(unknown)))
     return config, [f"the log's configuration has more than this version: {names}"] if names else []
 

@@ -254,10 +254,10 @@ class Timeline:
         if name in _SILENT or (name == "sdo" and not _failed(data)):
             return
         try:
-            text = self._event_words(name, data)
-        except TypeError:  # no driver has written this
-            text = f"{name}: {data}"
-        yield Told(t_s, self._node_of(name, data), text)
+            told = Told(t_s, self._node_of(name, data), self._event_words(name, data))
+        except (TypeError, ValueError):  # no driver has written this
+            told = Told(t_s, None, f"{name}: {data}")
+        yield told
 
     def _points(self, data: Any) -> None:
         match data:
