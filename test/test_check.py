@@ -120,6 +120,7 @@ def test_rehearsal_goes_through_all_steps(person: Any) -> None:
     p.reads("a rehearsal, nothing real moves")
     p.answers("is that safe.*\\[y/N\\]", "perhaps")
     p.answers("please answer y or n", "y")
+    p.reads(r"elbow_joint \(node 3\): maxon EPOS2 70/10, firmware 2126h, serial number 3")
     p.answers("push it by how much", "0.1 parsec")
     p.answers("must be a number, of rad or with one of rad, deg", "3deg")
     p.reads(r"elbow_joint went by \+0\.0523\d+ rad \(1667 counts\)")

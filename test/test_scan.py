@@ -17,6 +17,7 @@ import yaml
 from cl3e_stub import Cl3eStub
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from socketcan_guest import run_tool
 
 from epos2_ros.bus.health import Health
 from epos2_ros.commission import report, wire
@@ -36,7 +37,7 @@ from epos2_ros.protocol.frame import Frame
 from epos2_ros.sim.can_bus import SimulatedBus
 from epos2_ros.sim.copley import Copley
 from epos2_ros.sim.epos2 import Epos2
-from epos2_ros.sim.realtime import RealtimeSimulator
+from epos2_ros.sim.realtime import RealtimeSimulator, build_copley_drives, build_drives
 from epos2_ros.sim.slcan import SlcanAdapter
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -529,6 +530,22 @@ def test_other_bit_rate_is_found_by_listening_only(capsys: pytest.CaptureFixture
         given = ["--interface", "slcan", "--channel", path, "--bitrate", "1000000"]
         assert main([*given, "--listen", "0.2"]) == 1
     assert "there is traffic at 800 kbit/s: --bitrate 800000" in capsys.readouterr().out
+
+
+@pytest.mark.socketcan
+def test_scan_on_socketcan(vcan: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Where our own frames come back, and a queue that is full refuses more."""
+    run_tool("ip", "link", "set", vcan, "txqueuelen", "10")
+    drives = [*build_drives([1, 2, 3]), *build_copley_drives([9])]
+    with can.Bus(interface="socketcan", channel=vcan) as theirs:
+        simulator = RealtimeSimulator(theirs, drives)
+        simulator.start()
+        try:
+            assert main(["--interface", "socketcan", "--channel", vcan, "--listen", "0.2"]) == 0
+        finally:
+            simulator.stop()
+    output = capsys.readouterr().out
+    assert f"{vcan}: 4 nodes found" in output and "nothing odd" in output
 
 
 class Adapter(can.BusABC):

@@ -32,7 +32,7 @@ STEPS = {
 REHEARSAL = "arm.yaml"
 AT_REST = ("disabled", "fault")  # states of all axes in which nothing is to be stopped
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
-SERIOUS = ("fault", "warning", "aborted")  # events of the driver to be told
+TOLD = ("drive", "fault", "warning", "aborted")  # kinds of the driver's events
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -61,8 +61,7 @@ def run(arguments: argparse.Namespace, talk: Dialogue) -> int:
     )
     if config.simulate:
         talk.say("the drives are simulated: a rehearsal, nothing real moves")
-    drives = "all drives are" if len(config.axes) > 1 else "the drive is"
-    if not talk.agreed(f"{drives} switched off now; is that safe, can nothing fall?"):
+    if not talk.agreed(f"{axis.joint} is switched off now; is that safe, can nothing fall?"):
         talk.say("nothing was done")
         return 1
     with ExitStack() as stack:
@@ -74,10 +73,9 @@ def run(arguments: argparse.Namespace, talk: Dialogue) -> int:
             def hand(way: float) -> bool:
                 return simulation.push(axis.node_id, way * scale)
 
-        driver = Driver(_alone(config), on_event=lambda event: _tell(talk, event))
+        driver = Driver(_alone(config, axis), on_event=lambda event: _tell(talk, event))
         stack.callback(driver.close)
         driver.configure()
-        _say_axes(driver, talk)
         first = FirstMotion(driver, axis, talk, 2 * config.sync_period, hand)
         steps: dict[str, Callable[[], bool]] = {
             "position": first.position,
@@ -113,19 +111,24 @@ def _stop(driver: Driver, talk: Dialogue) -> None:
             signal.signal(number, handler)
 
 
-def _say_axes(driver: Driver, talk: Dialogue) -> None:
-    for axis in driver.snapshot().axes:
-        talk.say(f"  {axis.joint}: node {axis.node_id}, {axis.state}")
-
-
 def _tell(talk: Dialogue, event: Event) -> None:
-    if event.kind in SERIOUS:
-        talk.say(f"{event.kind}: {event.text}")
+    if event.kind in TOLD:
+        talk.say(event.text if event.kind == "drive" else f"{event.kind}: {event.text}")
 
 
-def _alone(config: DriverConfig) -> DriverConfig:
-    """One joint may move while the others hold; simulated drives are ours, not the driver's."""
-    return replace(config, simulate=False, allow_partial_joints_goal=True, outputs=())
+def _alone(config: DriverConfig, axis: AxisConfig) -> DriverConfig:
+    """This joint only: one that was not checked yet is not put under power.
+
+    Simulated drives are ours, not the driver's.
+    """
+    return replace(
+        config,
+        axes=(axis,),
+        outputs=(),
+        sync_source="host",
+        sync_producer="host",
+        simulate=False,
+    )
 
 
 def _config(file: Path | None) -> DriverConfig:
@@ -169,7 +172,7 @@ def _arguments(argv: Sequence[str]) -> argparse.Namespace:
         metavar="FILE",
         help="parameters of the driver; scan --yaml makes a file",
     )
-    parser.add_argument("--joint", help="the joint to be moved; the others hold")
+    parser.add_argument("--joint", help="the joint to be moved; the others stay without power")
     parser.add_argument(
         "--amount",
         metavar="AMOUNT",

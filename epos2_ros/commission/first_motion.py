@@ -47,7 +47,7 @@ class Buzz:
 
 
 class FirstMotion:
-    """The steps for one joint; `driver` is configured, its axes are off.
+    """The steps for one joint; `driver` is configured for it, and it is off.
 
     `settle_s` after a change all is reported. `hand` is given where the drives are simulated.
     """
@@ -203,8 +203,8 @@ class FirstMotion:
         seconds = self._duration(amount)
         talk.say(
             f"{joint} will move by {amount:+.4g} {unit} and back, {seconds:.3g} s each way, at "
-            f"most {PEAK * abs(amount) / seconds:.3g} {unit}/s. All drives are switched on and "
-            "hold. Keep a hand on the emergency stop; Ctrl-C halts and switches off."
+            f"most {PEAK * abs(amount) / seconds:.3g} {unit}/s. It is put under power and holds. "
+            "Keep a hand on the emergency stop; Ctrl-C halts and switches off."
         )
         if not talk.agreed("move now?"):
             talk.say("nothing moved")
