@@ -13,13 +13,16 @@ from epos2_ros.compare_config import CompareConfig
 
 @dataclass(frozen=True)
 class HomingConfig:
-    """`axes.<joint>.homing.*`: objects 0x6098, 0x6099, 0x609A, 0x607C."""
+    """`axes.<joint>.homing.*`: how an axis finds its home."""
 
-    method: int
+    method: str = ""  # by name, as in protocol.homing_methods; "": it is not homed
     speeds: tuple[float, float] | None = None  # [switch, zero] [unit/s]
     acceleration: float | None = None  # [unit/s²]
-    offset: float = 0.0  # [unit]
+    offset: float = 0.0  # where the axis is when homed [unit]
+    back_off: float = 0.0  # how far it moves away first [unit]
     order: int = 0
+    max_travel: float | None = None  # beyond it the search is stopped [unit]
+    required: bool = False  # no motion before it is homed
 
 
 @dataclass(frozen=True)

@@ -212,14 +212,23 @@ AXIS: dict[str, Spec] = {
     ),
     "max_following_error": Spec(2000, "[qc], object 0x6065", 1, 2**32 - 1),
     "homing.method": Spec(
-        0, "object 0x6098; 0: no homing, others are not offered yet and refused", -128, 127
+        "",
+        "by name (current_threshold_negative, home_switch_positive_index, here, …), in the "
+        "drive's own sense of direction; empty: not homed",
     ),
     "homing.speeds": Spec(
         [0.0, 0.0], "to the switch and to zero [unit/s]; 0, 0: the drive's own", 0.0, 1e6
     ),
     "homing.acceleration": Spec(0.0, "[unit/s²]; 0: the drive's own", 0.0, 1e9),
-    "homing.offset": Spec(0.0, "from the home position to zero [unit]", -1e6, 1e6),
-    "homing.order": Spec(0, "axes of the lowest order home first", 0, 127),
+    "homing.offset": Spec(0.0, "where the axis is when homed [unit]", -1e6, 1e6),
+    "homing.back_off": Spec(
+        0.0, "how far it moves away from switch, stop or index first [unit]", 0.0, 1e6
+    ),
+    "homing.order": Spec(0, "axes of the lowest order home first, equal ones together", 0, 127),
+    "homing.max_travel": Spec(
+        inf, "beyond this travel the search is stopped [unit]; inf: no bound", 1e-9
+    ),
+    "homing.required": Spec(False, "no motion before the axis is homed"),
 }
 
 CONSTRAINTS: dict[str, Spec] = {
@@ -394,14 +403,17 @@ class DriverParameters:
                 f"it must be below max_position, {value('max_position'):g}"
             )
         homing = None
-        if value("homing.method"):
+        if value("homing.method") or value("homing.required"):
             speeds = tuple(value("homing.speeds"))
             homing = HomingConfig(
                 method=value("homing.method"),
                 speeds=speeds if any(speeds) else None,
                 acceleration=value("homing.acceleration") or None,
                 offset=value("homing.offset"),
+                back_off=value("homing.back_off"),
                 order=value("homing.order"),
+                max_travel=_finite(value("homing.max_travel")),
+                required=value("homing.required"),
             )
         return AxisConfig(
             joint=joint,

@@ -38,7 +38,7 @@ class CompareBench(Bench):
         by_joint: dict[str, PathWatch] = {
             axis.drive.joint: RecordPathWatch(group, axis) for axis in machine.interpolated.axes
         }
-        by_joint |= {drive.joint: ProfilePathWatch(drive) for drive in machine.profile.drives}
+        by_joint = {drive.joint: ProfilePathWatch(drive) for drive in machine.drives} | by_joint
         self.outputs = Outputs(config.axes, outputs, [by_joint[axis.joint] for axis in config.axes])
         self.sdo = [node.node for node in self.nodes]
         self.bring_up()

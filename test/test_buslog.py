@@ -163,7 +163,8 @@ def test_the_simulator_says_so_too(tmp_path, capsys):
 @pytest.mark.parametrize("file", CONFIG_FILES, ids=lambda file: file.stem)
 def test_a_configuration_comes_back_from_json(file):
     config = DriverParameters(read_parameters(file)).config()
-    homed = replace(config.axes[0], homing=HomingConfig(17, (0.02, 0.005), order=2))
+    homing = HomingConfig("negative_limit_switch", (0.02, 0.005), order=2)
+    homed = replace(config.axes[0], homing=homing)
     for made in (config, replace(config, axes=(homed, *config.axes[1:]))):
         unknown: list[str] = []
         text = json.dumps(plain.to_plain(made))

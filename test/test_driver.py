@@ -3,27 +3,16 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from threading import Event
 
 import numpy as np
 import pytest
-from simulated_time import axes
 from two_processes import SCAN, rig
 
-from epos2_ros.bus.driver import Driver
-from epos2_ros.config import DriverConfig, HomingConfig
-from epos2_ros.errors import ConfigurationError, TrajectoryError
+from epos2_ros.errors import TrajectoryError
 from epos2_ros.motion.reference import Reference
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.protocol.path import Placement
-
-
-def test_homing_is_refused_rather_than_left_out() -> None:
-    first, *others = axes()
-    homed = replace(first, homing=HomingConfig(17, (0.02, 0.005), 0.3, 0.01, 2))
-    with pytest.raises(ConfigurationError, match="axes.joint_1.homing is given, .* not offered"):
-        Driver(DriverConfig(axes=(homed, *others))).configure()
 
 
 @pytest.mark.parametrize("stop", ["halt", "quick_stop", "stop_on_path"])

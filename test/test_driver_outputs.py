@@ -150,8 +150,8 @@ def test_a_copley_axis_moves_beside_an_epos2_and_tells_its_events() -> None:
         bench.until(lambda: len(bench.positions("laser")) >= 75)
         assert bench.positions("laser")[50:] == down
         bench.until(lambda: bench.positions("glue")[2:] == [0.045, 0.015, 0.005])
-        with pytest.raises(TrajectoryError, match="joint 'x' does not move in profile position"):
-            bench.driver.move_to({"x": 0.1})
+        with pytest.raises(TrajectoryError, match="unknown joint 'y'; the joints are x, z"):
+            bench.driver.move_to({"y": 0.1})
         with pytest.raises(TrajectoryError, match="position 2000 m is outside its limits"):
             bench.driver.move_to({"z": 2000.0})
         states = {axis.joint: axis.state for axis in bench.driver.snapshot().axes}

@@ -117,7 +117,7 @@ def test_every_value_arrives(make):
             "axes.x.max_acceleration": 1.5,
             "axes.x.stop_deceleration": 3.0,
             "axes.x.max_following_error": 500,
-            "axes.x.homing.method": 17,
+            "axes.x.homing.method": "negative_limit_switch",
             "axes.x.homing.speeds": [0.02, 0.005],
             "axes.x.homing.acceleration": 0.3,
             "axes.x.homing.offset": 0.01,
@@ -140,7 +140,9 @@ def test_every_value_arrives(make):
         max_acceleration=1.5,
         stop_deceleration=3.0,
         max_following_error=500,
-        homing=HomingConfig(17, (0.02, 0.005), 0.3, 0.01, 2),
+        homing=HomingConfig(
+            "negative_limit_switch", (0.02, 0.005), 0.3, 0.01, order=2
+        ),
         path_tolerance=0.01,
         goal_tolerance=0.001,
     )
@@ -173,11 +175,11 @@ def test_whole_numbers_do_where_numbers_are_asked_for(make):
         {
             "axes.joint_1.gear_ratio": 100,
             "axes.joint_1.homing.speeds": [1, 2],
-            "axes.joint_1.homing.method": 1,
+            "axes.joint_1.homing.method": "here",
         }
     ).parameters.config()
     assert config.axes[0].gear_ratio == 100.0
-    assert config.axes[0].homing == HomingConfig(1, (1.0, 2.0))
+    assert config.axes[0].homing == HomingConfig("here", (1.0, 2.0))
 
 
 @pytest.mark.parametrize(

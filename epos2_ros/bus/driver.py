@@ -13,7 +13,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures import TimeoutError as FutureTimeoutError
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from epos2_ros.bus.health import Health
 from epos2_ros.bus.identity import read_identity
@@ -39,6 +39,7 @@ from epos2_ros.errors import (
     ConfigurationError,
     DriveError,
     MotionAborted,
+    MotionStopped,
     TrajectoryError,
 )
 from epos2_ros.motion.move import refuse_trajectory
@@ -134,11 +135,6 @@ class Driver:
                 raise ConfigurationError(
                     f"axes.{axis.joint}.node_id is {HOST_NODE_ID}, which the host's heartbeat "
                     f"has; it must be from 1 to {HOST_NODE_ID - 1}"
-                )
-            if axis.homing is not None:
-                raise ConfigurationError(
-                    f"axes.{axis.joint}.homing is given, but homing is not offered yet; leave it "
-                    "out, and home the drive with its maker's tool"
                 )
         answering, producer = len(self._machine.drives), self._machine.time.producer
         shortest_s = Timekeeper.shortest_period_us(answering) / 1e6
@@ -308,6 +304,27 @@ class Driver:
         """
         self._reactor.call(lambda: self._machine.move_to(targets, duration_s))
 
+    def home(self) -> None:
+        """All axes with a homing method look for their homes, those of the lowest order first.
+
+        Returns when they are home. DriveError says which axis is not, where it stands, and why.
+        """
+        orders = self._machine.homing_orders()
+        if not orders:
+            raise DriveError("no joint has a homing method: set axes.<joint>.homing.method")
+        for drives in orders:
+            joints = [drive.joint for drive in drives]
+            for joint in joints:
+                self._worker.run(partial(self._outputs.disarm, joint))
+            places = [self._machine.drives.index(drive) for drive in drives]
+            try:
+                motion = self._reactor.call(partial(self._machine.home, places))
+                self._wait(motion, "home", self._machine.home_limit_s(places) + REQUEST_TIMEOUT_S)
+            except (TrajectoryError, MotionAborted, MotionStopped) as error:
+                raise DriveError(str(error)) from error
+            for joint in joints:
+                self._worker.run(partial(self._outputs.arm, joint))
+
     def set_positions(self, output: str, positions: Sequence[float]) -> None:
         """A series gets other positions [unit]; ConfigurationError if it can't."""
         self._reactor.call(lambda: self._outputs.protocol.set_positions(output, positions))
@@ -415,11 +432,11 @@ class Driver:
             self._wait(answer, what)
 
     @staticmethod
-    def _wait(answer: Future[None], what: str) -> None:
+    def _wait(answer: Future[Any], what: str, timeout_s: float = REQUEST_TIMEOUT_S) -> None:
         try:
-            answer.result(REQUEST_TIMEOUT_S)
+            answer.result(timeout_s)
         except FutureTimeoutError as error:
-            raise DriveError(f"{what}: no result within {REQUEST_TIMEOUT_S:g} s") from error
+            raise DriveError(f"{what}: no result within {timeout_s:g} s") from error
 
     def _on_frame(self, frame: Frame, t_us: float, echo: bool) -> None:
         t_us = round(t_us, 3)  # what a log holds: run over it again, all is the same

@@ -41,7 +41,7 @@ class OutputService:
             axis.drive.joint: RecordPathWatch(machine.group, axis)
             for axis in machine.interpolated.axes
         }
-        watches |= {drive.joint: ProfilePathWatch(drive) for drive in machine.profile.drives}
+        watches = {d.joint: ProfilePathWatch(d) for d in machine.drives} | watches
         self.protocol = Outputs(axes, configs, [watches[axis.joint] for axis in axes])
         self._joints = [axis.joint for axis in axes]
         self._nodes: list[canopen.RemoteNode] = []
@@ -73,6 +73,12 @@ class OutputService:
                     f"the outputs of {joint} can't be set as configured (pin, positions, "
                     f"capacity): {error}"
                 ) from error
+
+    def disarm(self, joint: str) -> None:
+        """Switch the outputs of a drive off, whose positions are about to change; then `arm`."""
+        axis = self._joints.index(joint)
+        if self.protocol.on_axis(axis):
+            write_all(self._nodes[axis], self._reactor.call(lambda: self.protocol.disarm(axis)))
 
     def reconfigure(self, config: CompareConfig) -> None:
         """An output gets other parameters while its axis stands.

@@ -38,6 +38,7 @@ class AxisSnapshot:
     clock_drift_ppm: float | None
     executed_qc: int | None  # position demand at the last SYNC
     records_sent: int
+    homed: str = ""  # the method by which it was; "": it was not
     silent_s: float = 0.0  # not heard for so long; 0 as long as it is heard
     identity: Identity | None = None  # None until the drive has been brought up
 
@@ -105,6 +106,7 @@ def axis_snapshots(
             clock_drift_ppm=None,
             executed_qc=drive.demand_qc,
             records_sent=0,
+            homed=drive.homed,
             silent_s=silent_us / 1e6 if deaf or machine.group.silent(drive) else 0.0,
             identity=identities.get(drive.joint),
         )

@@ -68,6 +68,7 @@ class _Recorder:
         self._watch(machine, "receive", self._note_frame)
         self._watch(machine, "advance", self._note_advance)
         self._watch(machine, "move_to", self._noting("move_to"))
+        self._watch(machine, "home", self._noting("home"))
         self._watch(machine.out, "answer", self._noting("sdo"))
         self._watch(path, "place", self._note_placement)
         self._watch(path, "commit", self._note_commit)
@@ -201,6 +202,8 @@ class Repeater:
             group.reconfigured(self._machine.drives[index], *rest)
         elif name == "move_to":
             self._machine.move_to(*data)
+        elif name == "home":
+            self._machine.home(*data)
         elif name == "sdo":
             self._machine.out.answer(*data)
         elif name in REQUESTS + REPORTS:

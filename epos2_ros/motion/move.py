@@ -37,8 +37,7 @@ def moves(
     for joint, target in targets.items():
         if joint not in by_joint:
             raise TrajectoryError(
-                f"joint '{joint}' does not move in profile position mode; those that do are "
-                f"{', '.join(by_joint) or 'none'}",
+                f"unknown joint '{joint}'; the joints are {', '.join(by_joint)}",
                 TrajectoryError.INVALID_JOINTS,
             )
         found[joint] = _move(by_joint[joint], standing_qc[joint], target)

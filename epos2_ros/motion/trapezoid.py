@@ -44,13 +44,35 @@ class Trapezoid:
         return Trapezoid(self.start, self.end, self.peak * slower, self.acceleration * slower**2)
 
     def in_units(self, velocity_unit: float, acceleration_unit: float) -> Trapezoid:
-        """As a drive makes it of whole counts and whole units, at least one of each."""
-        return Trapezoid(
-            float(round(self.start)),
-            float(round(self.end)),
-            max(1, round(self.velocity / velocity_unit)) * velocity_unit,
-            max(1, round(self.acceleration / acceleration_unit)) * acceleration_unit,
-        )
+        """As a drive makes it of whole counts and whole units, at least one of each.
+
+        Of the velocities and accelerations near, those with which it lasts as long: several axes
+        that are to arrive together do, however coarse their units are.
+        """
+        start, end = float(round(self.start)), float(round(self.end))
+        if start == end:
+            return Trapezoid(start, end, velocity_unit, acceleration_unit)
+        wanted_s, way = self.duration_s, abs(end - start)
+        near_v, near_a = self.peak / velocity_unit, self.acceleration / acceleration_unit
+        most = math.ceil(1.005 * self.velocity / velocity_unit)
+        pairs = [(math.ceil(self.velocity / velocity_unit), round(near_a))]
+        for steps in range(math.floor(near_v) - 2, math.floor(near_v) + 3):  # in units
+            cruise_s = way / max(steps * velocity_unit, 1e-300)
+            if wanted_s / 2 <= cruise_s < wanted_s:
+                ramp_s = wanted_s - cruise_s
+                pairs.append((steps, round(steps * velocity_unit / ramp_s / acceleration_unit)))
+        for steps in range(math.floor(near_a) - 1, math.floor(near_a) + 3):
+            rate = steps * acceleration_unit
+            root = (rate * wanted_s) ** 2 - 4 * rate * way
+            if rate > 0 and root >= 0:
+                velocity = (rate * wanted_s - math.sqrt(root)) / 2
+                pairs.append((round(velocity / velocity_unit), steps))
+        made = [
+            Trapezoid(start, end, max(1, v) * velocity_unit, max(1, a) * acceleration_unit)
+            for v, a in pairs
+            if v <= most
+        ]
+        return min(made, key=lambda move: abs(move.duration_s - wanted_s))
 
     def path(self, begin_us: float) -> Path:
         """As a path that begins at `begin_us`; a standing axis has one knot."""

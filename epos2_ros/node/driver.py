@@ -156,6 +156,7 @@ class DriverNode(LifecycleNode):
         self._offer(SetBool, "~/enable", self._on_enable)
         self._offer_trigger("~/halt", "halted", lambda driver: driver.halt())
         self._offer_trigger("~/quick_stop", "stopped", lambda driver: driver.quick_stop())
+        self._offer_trigger("~/home", "all axes are home", lambda driver: driver.home())
         self._offer_trigger("~/reset_fault", "no fault", lambda driver: driver.reset_fault())
 
         self._action: TrajectoryAction | None = None

@@ -121,6 +121,7 @@ def _drive_of(axis: AxisSnapshot, node: str, channel: str, limits: ClockLimits) 
             {
                 "state": "unknown" if axis.silent_s else axis.state,
                 "last emergency": axis.fault or "none",
+                "referenced": axis.homed or "no",
                 "not heard for [s]": f"{axis.silent_s:.1f}",
                 **{name: text for name, text in clock_and_error.items() if text},
                 **identity,

@@ -40,7 +40,7 @@ def make_move_plan(
 ) -> MovePlan:
     """What the driver would do with the one point of `trajectory` when its joints stand at
     `start` [unit]. Raises what the driver raises."""
-    axes = {axis.joint: axis for axis in config.axes if axis.drive == "copley"}
+    axes = {axis.joint: axis for axis in config.axes}
     standing = {
         joint: round(AxisUnits.of(axes[joint]).to_qc(position))
         for joint, position in zip(trajectory.joint_names, start, strict=True)

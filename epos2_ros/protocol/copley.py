@@ -54,5 +54,7 @@ FAMILY = Family(
     emergencies=epos2.EMERGENCIES,
     rest_operation=MODE_PROFILE_POSITION,
     motion_units=lambda units: (VELOCITY_UNIT_COUNTS_S, ACCELERATION_UNIT_COUNTS_S2),
+    home_objects=lambda position_qc, back_off_qc: (),
+    homing_methods={},  # not offered yet
     has_clock=False,
 )

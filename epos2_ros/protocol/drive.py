@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from epos2_ros.protocol import cia402, epos2
@@ -16,7 +16,9 @@ from epos2_ros.protocol.cia402 import State
 from epos2_ros.protocol.executed_path import Demand
 from epos2_ros.protocol.family import Family
 from epos2_ros.protocol.frame import Frame
+from epos2_ros.protocol.outbox import Outbox
 from epos2_ros.protocol.pdo import SYNCHRONOUS, PdoMapping
+from epos2_ros.protocol.sdo import SdoRead, SdoWrite
 
 HOLDS_PERIODS = 2.0  # so many of its inhibit time after a change a drive has reported it
 SYNC_ANSWER_AGE_US = 50_000.0  # an answer to SYNC may wait so long for its turn on the bus
@@ -64,6 +66,8 @@ class Drive:
         self.sync_us = -math.inf  # when the last SYNC was
         self.asked_us = -math.inf  # when the last SDO request to it was on the bus
         self.restarted = False
+        self.homed = ""  # the method by which it was referenced; "": it was not
+        self._borrowed: dict[tuple[int, int], SdoWrite] = {}  # what is to be there again
         self.demand: Demand | None = None  # what it was last told to do; None: not known
         self._layouts = {
             mapping.cob_id + self.node_id: _Layout(setup.family, mapping) for mapping in setup.tpdos
@@ -140,6 +144,11 @@ class Drive:
         return cia402.state_of(self.statusword)
 
     @property
+    def standing_qc(self) -> int | None:
+        """Where it stands, by its own demand if it says that; None: not known."""
+        return self.position_qc if self.demand_qc is None else self.demand_qc
+
+    @property
     def velocity_qc_s(self) -> float:
         return self.velocity * self.velocity_unit
 
@@ -153,6 +162,37 @@ class Drive:
         if not words and self.statusword & cia402.FAULT_BIT:
             words.append(self.state.value)
         return ": ".join(words)
+
+    # What a mode changes for a while -------------------------------------------------------
+
+    def borrow(
+        self,
+        writes: Sequence[SdoWrite],
+        reads: Sequence[SdoRead],
+        out: Outbox,
+        then: Callable[[Sequence[int], str], None],
+    ) -> None:
+        """Write to objects that another mode needs as they were; `reads` are of the same.
+
+        What they hold is read first, once, for `give_back`.
+        """
+        unknown = [read for read in reads if (read.index, read.subindex) not in self._borrowed]
+
+        def keep(values: Sequence[int], error: str) -> None:
+            for read, value in zip(unknown, values, strict=False):
+                self._borrowed[read.index, read.subindex] = SdoWrite.integer(
+                    read.index, read.subindex, value, read.size, read.signed
+                )
+            then((), error)
+
+        if unknown:
+            out.ask(self.node_id, reads=unknown, then=keep)
+        out.ask(self.node_id, writes, then=then)
+
+    def give_back(self) -> list[SdoWrite]:
+        """What puts these objects back, each once."""
+        writes, self._borrowed = list(self._borrowed.values()), {}
+        return writes
 
     # What the drive is told ------------------------------------------------------------
 

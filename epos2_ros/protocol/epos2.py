@@ -32,8 +32,10 @@ from __future__ import annotations
 
 import struct
 
+from epos2_ros.protocol import homing_methods
 from epos2_ros.protocol.family import Family, Field
 from epos2_ros.protocol.pdo import ASYNCHRONOUS, SYNCHRONOUS, PdoMapping
+from epos2_ros.protocol.sdo import SdoWrite
 
 VENDOR_ID = 0x000000FB
 DEVICE_PROFILE = 402
@@ -45,6 +47,7 @@ QUICK_STOP_OPTION = 3  # of 0x6007
 # Controlword and statusword bits of the interpolated position mode (tables 7 and 10).
 ENABLE_IP_MODE = 0x0010
 IP_MODE_ACTIVE_STATUSWORD = 0x1000
+REFERENCED = 0x8000  # maxon's own: the axis is homed
 REFRESH_CYCLE = 0x4000  # maxon's own: 4123h refreshes the power stage, 4133h measures the motor
 
 # Object dictionary.
@@ -75,6 +78,12 @@ CURRENT_ACTUAL = 0x6078
 SOFTWARE_POSITION_LIMIT = 0x607D
 MAX_PROFILE_VELOCITY = 0x607F
 PROFILE_VELOCITY = 0x6081
+MOTION_PROFILE_TYPE = 0x6086
+HOMING_METHOD = 0x6098
+HOMING_SPEEDS = 0x6099  # -01 to the switch, -02 to zero
+HOMING_ACCELERATION = 0x609A
+HOME_OFFSET = 0x607C  # on an EPOS2 it moves the axis
+HOME_POSITION = 0x2081  # what the position then is
 PROFILE_ACCELERATION = 0x6083
 PROFILE_DECELERATION = 0x6084
 QUICK_STOP_DECELERATION = 0x6085
@@ -237,6 +246,14 @@ def is_drive_profile(device_type: int) -> bool:
     return device_type & 0xFFFF == DEVICE_PROFILE
 
 
+def home_objects(position_qc: int, back_off_qc: int) -> tuple[SdoWrite, ...]:
+    """The axis goes `back_off_qc` on from where its home is, and is then at `position_qc`."""
+    return (
+        SdoWrite.integer(HOME_OFFSET, 0, back_off_qc, 4, signed=True),
+        SdoWrite.integer(HOME_POSITION, 0, position_qc, 4, signed=True),
+    )
+
+
 FAMILY = Family(
     key="epos2",
     name="an EPOS2",
@@ -258,6 +275,9 @@ FAMILY = Family(
     emergencies=EMERGENCIES,
     rest_operation=MODE_INTERPOLATED_POSITION,
     motion_units=lambda units: (units.velocity_unit_qc_s, units.counts_per_turn / 60),
+    home_objects=home_objects,
+    homing_methods=homing_methods.EPOS2,
     has_clock=True,
+    referenced_bit=REFERENCED,
     power_up_bit=REFRESH_CYCLE,
 )

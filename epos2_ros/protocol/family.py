@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from epos2_ros.motion.units import AxisUnits
+from epos2_ros.protocol.homing_methods import Method
 from epos2_ros.protocol.pdo import PdoMapping
+from epos2_ros.protocol.sdo import SdoWrite
 
 
 class Field(NamedTuple):
@@ -36,7 +38,10 @@ class Family:
     emergencies: Mapping[int, str]
     rest_operation: int
     motion_units: Callable[[AxisUnits], tuple[float, float]]  # velocity, acceleration [qc/s, …/s²]
+    home_objects: Callable[[int, int], tuple[SdoWrite, ...]]  # of position and back-off [qc]
+    homing_methods: Mapping[int, Method]  # 0x6098
     has_clock: bool  # high resolution time stamp (0x1013): it can be kept in step with the others
+    referenced_bit: int = 0  # of the statusword: the axis is homed
     power_up_bit: int = 0  # of the statusword: "switched on", on its own way to "operation enabled"
 
     def describe_emergency(self, code: int) -> str:

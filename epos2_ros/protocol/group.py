@@ -133,6 +133,7 @@ class Group:
         self._when_started: list[Callable[[], None]] = []  # what waits for the start SYNC
         self._next: Motion | None = None  # begins when the axes stand
         self._end = End.ARRIVED
+        self._arrived = False  # at the end of the motion, and not yet ready for the next
         self._faulted = False  # somebody has to reset it
         self._halt_is_fault = False
         self._quick_stopped: set[Drive] = set()  # that the halt did not stop
@@ -388,6 +389,10 @@ class Group:
 
     def reconfigured(self, drive: Drive, statusword: int, now_us: float) -> None:
         """A drive was brought up anew and answers with `statusword`."""
+        if drive.restarted:
+            drive.homed = ""
+        if statusword & drive.family.referenced_bit:
+            drive.homed = drive.homed or "by an earlier host"
         drive.restarted = False
         self.out.forget(drive.node_id)  # whatever became of what it was asked
         drive.operation = drive.family.rest_operation
@@ -452,6 +457,8 @@ class Group:
 
     def _enter(self, phase: Phase) -> None:
         self.phase = phase
+        if self._arrived and phase not in (Phase.READYING, Phase.SETTLING):
+            self._tell_arrival()
         self._phase_us = self._now_us
         self._steps.clear()
         if phase is not Phase.STARTING:
@@ -582,7 +589,7 @@ class Group:
         self._enter(Phase.READYING)
         for drive, mode in self._rest.items():
             self._set_mode(drive, mode)
-            if writes := mode.rest(drive):
+            if writes := [*drive.give_back(), *mode.rest(drive)]:
                 self.out.ask(drive.node_id, writes, then=self._answer_of(drive))
 
     def _set_mode(self, drive: Drive, mode: Mode) -> None:
@@ -649,6 +656,14 @@ class Group:
                 if late
                 else "the drives' clocks don't go by the times of SYNC that the host sees"
             )
+
+    def _tell_arrival(self) -> None:
+        """The motion that has come to its end is over, and the axes are ready for the next."""
+        self._arrived = False
+        motion, self.motion = self.motion, None
+        self.out.announce("done", self._end.value)
+        if motion:
+            motion.set_result(self._end)
 
     def _stand(self) -> None:
         """All axes are enabled and hold, each in the mode in which it stands."""
@@ -800,10 +815,7 @@ class Group:
         """All axes stand at their ends, enabled."""
         for mode in self.modes:
             mode.finish()
-        motion, self.motion = self.motion, None
-        self.out.announce("done", self._end.value)
-        if motion:
-            motion.set_result(self._end)
+        self._arrived = True
         if all(self._rest[drive] is mode for drive, mode in self._taking_part.items()):
             self._stand()
         else:

@@ -6,12 +6,13 @@ on simulated drives in simulated time, and over a log.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import replace
 
 from epos2_ros.config import AxisConfig, DriverConfig
-from epos2_ros.errors import TrajectoryError
+from epos2_ros.errors import ConfigurationError, TrajectoryError
 from epos2_ros.motion.fit import FitAxis
 from epos2_ros.motion.move import moves
 from epos2_ros.motion.units import AxisUnits
@@ -19,12 +20,14 @@ from epos2_ros.protocol import epos2
 from epos2_ros.protocol.drive import Drive, DriveSetup
 from epos2_ros.protocol.families import FAMILIES
 from epos2_ros.protocol.frame import Frame
-from epos2_ros.protocol.group import Group
+from epos2_ros.protocol.group import End, Group
+from epos2_ros.protocol.homing_methods import find
+from epos2_ros.protocol.modes.homing import Homing, Search
 from epos2_ros.protocol.modes.interpolated import Interpolated
 from epos2_ros.protocol.modes.mode import Mode
 from epos2_ros.protocol.modes.profile import Profile
 from epos2_ros.protocol.outbox import Outbox
-from epos2_ros.protocol.path import PathCommander
+from epos2_ros.protocol.path import PathCommander, refuse_unreferenced
 from epos2_ros.protocol.path_time import PathTime
 from epos2_ros.protocol.pvt.axis import PvtAxis
 from epos2_ros.protocol.pvt.buffer_reads import BufferReads
@@ -54,9 +57,14 @@ class Machine:
         self.interpolated = self._interpolated(
             [PvtAxis(by_joint[a.joint], fit_of(a), self._audit(fit_of(a))) for a in followers]
         )
-        movers = [axis for axis in config.axes if axis not in followers]
-        self.movers = tuple(movers)
-        self.profile = Profile([by_joint[axis.joint] for axis in movers], self.out)
+        self.movers = tuple(axis for axis in config.axes if axis not in followers)
+        self.profile = Profile(self.drives, self.out)
+        self.homing = Homing(self.drives, self.out)
+        self._searches = {
+            drive: _search(axis, drive)
+            for drive, axis in zip(self.drives, config.axes, strict=True)
+            if axis.homing is not None and axis.homing.method
+        }
         rest: dict[Drive, Mode] = {
             drive: self.interpolated if drive in self.interpolated.drives else self.profile
             for drive in self.drives
@@ -94,22 +102,89 @@ class Machine:
 
     # ------------------------------------------------------------------ moves
 
-    def move_to(self, targets: Mapping[str, float], duration_s: float = 0.0) -> Future[object]:
+    def move_to(self, targets: Mapping[str, float], duration_s: float = 0.0) -> Future[End]:
         """Start for these positions [unit], leaving and arriving together.
 
         As fast as the slowest axis can, or in `duration_s` if that is longer. The future ends with
-        the motion. TrajectoryError for a joint that is not one of `movers`, a target outside the
-        limits, or axes that don't stand.
+        the motion. TrajectoryError for an unknown joint, a target outside the limits, or axes that
+        don't stand.
         """
-        drives = {drive.joint: drive for drive in self.profile.drives}
-        standing = {joint: drive.position_qc for joint, drive in drives.items()}
-        together = moves(self.movers, standing, targets, duration_s)
+        drives = {drive.joint: drive for drive in self.drives}
+        refuse_unreferenced(self.config.axes, self.drives, targets)
+        standing = {joint: drive.standing_qc for joint, drive in drives.items()}
+        together = moves(self.config.axes, standing, targets, duration_s)
         if not self.group.standing:
             raise TrajectoryError(f"can't move: the drives are {self.group.describe_phase()}")
         self.profile.plan({drives[joint]: move for joint, move in together.items()})
-        self.group.begin([self.profile])
+        return self._begin(self.profile)
+
+    # ------------------------------------------------------------------ homing
+
+    def homing_orders(self) -> list[list[Drive]]:
+        """The drives that are to be homed, those of the lowest order first."""
+        orders: dict[int, list[Drive]] = {}
+        for drive, axis in zip(self.drives, self.config.axes, strict=True):
+            if axis.homing is not None and drive in self._searches:
+                orders.setdefault(axis.homing.order, []).append(drive)
+        return [orders[order] for order in sorted(orders)]
+
+    def home(self, places: Sequence[int]) -> Future[End]:
+        """The drives at these places look for their homes, all at once; the future ends with that.
+
+        TrajectoryError when they don't stand.
+        """
+        searches = {self.drives[place]: self._searches[self.drives[place]] for place in places}
+        self.homing.plan(searches)
+        for drive, search in searches.items():
+            self.out.announce("homing", f"{drive}: homing by {search.words} ({search.number})")
+        return self._begin(self.homing)
+
+    def home_limit_s(self, places: Sequence[int]) -> float:
+        """How long `home` may take; what is longer ends in a fault."""
+        drives = [self.drives[place] for place in places]
+        return self.homing.time_limit_s({drive: self._searches[drive] for drive in drives})
+
+    def _begin(self, mode: Mode) -> Future[End]:
+        self.group.begin([mode])
         assert self.group.motion is not None
-        return self.group.motion  # type: ignore[return-value]
+        return self.group.motion
+
+
+def _search(axis: AxisConfig, drive: Drive) -> Search:
+    """ConfigurationError for what its family does not have."""
+    homing, at = axis.homing, f"axes.{axis.joint}.homing"
+    assert homing is not None
+    methods, units = drive.family.homing_methods, AxisUnits.of(axis)
+    if not methods:
+        raise ConfigurationError(
+            f"{at}.method is {homing.method!r}; homing of {drive.family.maker}'s drives is not "
+            "offered yet: leave it out, and home the drive with its maker's tool"
+        )
+    number = find(homing.method, methods, f"{at}.method", drive.family.maker)
+    name, direction = methods[number]
+    if homing.back_off and not direction:
+        raise ConfigurationError(
+            f"{at}.back_off is {homing.back_off:g}; by {name} nothing moves, so it must be 0"
+        )
+
+    def whole(value: float, unit: float) -> int:
+        return max(1, round(abs(units.to_qc_s(value)) / unit))
+
+    fast_slow = homing.speeds
+    travel = homing.max_travel
+    back_off_qc = round(-direction * abs(units.to_qc_s(homing.back_off)))
+    return Search(
+        number,
+        name,
+        None
+        if fast_slow is None
+        else (whole(fast_slow[0], drive.velocity_unit), whole(fast_slow[1], drive.velocity_unit)),
+        None
+        if homing.acceleration is None
+        else whole(homing.acceleration, drive.acceleration_unit),
+        math.inf if travel is None else abs(units.to_qc_s(travel)),
+        drive.family.home_objects(round(units.to_qc(homing.offset)), back_off_qc),
+    )
 
 
 def _setup(axis: AxisConfig, config: DriverConfig) -> DriveSetup:

@@ -159,6 +159,16 @@ class Outputs:
             writes += self._start(armed, position_qc)
         return writes
 
+    def disarm(self, axis: int) -> list[SdoWrite]:
+        """What switches off all outputs of a drive, which are not followed any more."""
+        writes: list[SdoWrite] = []
+        for armed in self._armed.values():
+            if armed.axis == axis:
+                armed.tracker = None
+                armed.forget()
+                writes += armed.output.disarm()
+        return writes
+
     def _start(self, armed: _Armed, position_qc: int) -> list[SdoWrite]:
         armed.tracker = armed.output.tracker(position_qc)
         armed.answer, armed.asked = None, False

@@ -15,12 +15,13 @@ take-over, `commit` says so, and it is placed anew.
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
-from epos2_ros.config import DriverConfig
+from epos2_ros.config import AxisConfig, DriverConfig
 from epos2_ros.errors import TrajectoryError
 from epos2_ros.motion.join import join
 from epos2_ros.motion.limits import Limits
@@ -29,6 +30,7 @@ from epos2_ros.motion.stop import stop
 from epos2_ros.motion.stream import Stream, is_streamed
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.motion.units import AxisUnits
+from epos2_ros.protocol.drive import Drive
 from epos2_ros.protocol.execution import Execution
 from epos2_ros.protocol.group import IN_MOTION, NOT_BEGUN, End, Group, Phase
 from epos2_ros.protocol.modes.interpolated import Interpolated
@@ -87,6 +89,19 @@ def refuse_ended(trajectory: Trajectory, stamp_us: float | None, now_us: float) 
         )
 
 
+def refuse_unreferenced(
+    axes: Sequence[AxisConfig], drives: Sequence[Drive], joints: Collection[str]
+) -> None:
+    """TrajectoryError for one of `joints` that has to be homed before it moves, and is not."""
+    for axis, drive in zip(axes, drives, strict=True):
+        must = axis.homing is not None and axis.homing.required
+        if must and axis.joint in joints and not drive.homed:
+            raise TrajectoryError(
+                f"joint '{axis.joint}' is not referenced: home it first, by ~/home "
+                f"(axes.{axis.joint}.homing.required)"
+            )
+
+
 class PathCommander:
     """Trajectories in, references for the axes of `interpolated` out. Times are host µs.
 
@@ -130,6 +145,7 @@ class PathCommander:
         """Where it begins, by what the group is doing now; it takes over `lead_ms` after the end
         of what is committed. TrajectoryError when it can't begin."""
         refuse_ended(trajectory, stamp_us, now_us)
+        refuse_unreferenced(self._config.axes, self._interpolated.drives, trajectory.joint_names)
         group, feeder = self._group, self._interpolated.feeder
         if group.standing and not self._streams_on(trajectory):
             return self._from_rest(trajectory, stamp_us, now_us)

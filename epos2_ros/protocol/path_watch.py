@@ -17,6 +17,7 @@ from epos2_ros.protocol.drive import Drive
 from epos2_ros.protocol.executed_path import Demand, ExecutedPath
 from epos2_ros.protocol.frame import Frame
 from epos2_ros.protocol.group import IN_MOTION, Group, Phase
+from epos2_ros.protocol.modes.homing import Homing
 from epos2_ros.protocol.pvt.axis import PvtAxis
 from epos2_ros.protocol.pvt.buffer_account import BufferAccount
 
@@ -33,7 +34,7 @@ class PathWatch(Protocol):
 
 
 class RecordPathWatch:
-    """One axis that follows records. The group takes a frame in first."""
+    """One axis that follows records, or moves of its own. The group takes a frame in first."""
 
     def __init__(self, group: Group, axis: PvtAxis) -> None:
         self.executed = ExecutedPath()
@@ -84,15 +85,16 @@ class RecordPathWatch:
         demand_qc = self._drive.demand_qc
         if self._sync_us is None or demand_qc is None:
             return None
-        if self._group.phase not in _ON_THE_PATH:
+        if self._group.phase not in _ON_THE_PATH or self._drive.operation == Homing.operation:
             self._demand = None
+        demand = self._drive.demand or self._demand
         # What the drive says is from its last control cycle; the demand tells when that was.
-        if self._demand is not None:
-            when_us = self._demand.when(demand_qc, self._sync_us)
+        if demand is not None:
+            when_us = demand.when(demand_qc, self._sync_us)
             if when_us is not None:
                 self._age_us = self._sync_us - when_us
         position = demand_qc - (self._drive.following_error_qc or 0)
-        return self.executed.sample(self._sync_us - self._age_us, position, 0.0, self._demand)
+        return self.executed.sample(self._sync_us - self._age_us, position, 0.0, demand)
 
 
 class ProfilePathWatch:

@@ -10,7 +10,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 ACTUAL_POSITION = (35, 37)
-METHODS = (1, 2, 7, 11, 17, 18, 23, 27, 33, 34, *ACTUAL_POSITION)
+# maxon's own: current threshold positive and negative, the first two with an index
+CURRENT_THRESHOLD = {-1: 1, -2: -1, -3: 1, -4: -1}
+METHODS = (*CURRENT_THRESHOLD, 1, 2, 7, 11, 17, 18, 23, 27, 33, 34, *ACTUAL_POSITION)
 
 
 @dataclass(frozen=True)
@@ -25,6 +27,8 @@ class Switches:
     positive_limit: float = math.inf
     home: tuple[float, float] = (math.inf, -math.inf)
     index: float = 0.0
+    negative_stop: float = -math.inf  # mechanical: the current rises to its threshold there
+    positive_stop: float = math.inf
 
 
 class Search(NamedTuple):
@@ -41,6 +45,8 @@ def plan(method: int, position: float, switches: Switches, counts_per_turn: int)
     Methods 1, 2, 7 and 11 go on to the next index pulse after what 17, 18, 23 and 27 do; 33
     and 34 look for an index pulse alone; 35 and 37 take the position as it is.
     """
+    if method in CURRENT_THRESHOLD:
+        return _at_the_stop(method, switches, counts_per_turn)
     low, high = switches.home
     searches: list[Search] = []
     if method in (1, 17):
@@ -61,6 +67,18 @@ def plan(method: int, position: float, switches: Switches, counts_per_turn: int)
             turn = math.floor(turns) + 1 if direction > 0 else math.ceil(turns) - 1
             start = switches.index + turn * counts_per_turn
         searches.append(Search(direction, start, True))
+    return searches
+
+
+def _at_the_stop(method: int, switches: Switches, counts_per_turn: int) -> list[Search]:
+    """Against a mechanical stop; with an index, back to the first one off it."""
+    direction = CURRENT_THRESHOLD[method]
+    stop = switches.positive_stop if direction > 0 else switches.negative_stop
+    searches = [Search(direction, stop, False)]
+    if method in (-1, -2) and math.isfinite(stop):
+        turns = (stop - switches.index) / counts_per_turn
+        turn = math.ceil(turns) - 1 if direction > 0 else math.floor(turns) + 1
+        searches.append(Search(-direction, switches.index + turn * counts_per_turn, True))
     return searches
 
 

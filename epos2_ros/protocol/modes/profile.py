@@ -20,13 +20,14 @@ from epos2_ros.protocol.drive import Drive, names
 from epos2_ros.protocol.executed_path import Demand
 from epos2_ros.protocol.modes.mode import Mode
 from epos2_ros.protocol.outbox import Outbox
-from epos2_ros.protocol.sdo import SdoWrite
+from epos2_ros.protocol.sdo import SdoRead, SdoWrite
 
 # Controlword and statusword bits of profile position mode (CiA 402-2).
 NEW_SETPOINT = 0x0010
 CHANGE_IMMEDIATELY = 0x0020
 SETPOINT_ACKNOWLEDGED = 0x1000
 
+TRAPEZOIDAL = 0  # motion profile type
 ARRIVAL_MARGIN_MS = 1_000.0  # after a move should be over
 
 
@@ -63,7 +64,8 @@ class Profile(Mode):
     def begin(self) -> None:
         self.moves, self._refused = dict(self._planned), ""
         for drive, move in self.moves.items():
-            self._out.ask(drive.node_id, setpoint(drive, move), then=self._written)
+            reads = () if drive.family.rest_operation == self.operation else _SHARED
+            drive.borrow(setpoint(drive, move), reads, self._out, self._written)
 
     def _written(self, values: Sequence[int], error: str) -> None:
         self._refused = self._refused or error
@@ -119,11 +121,20 @@ class Profile(Mode):
         self.moves = {}
 
 
+# What interpolated position mode goes by as well: its warnings, its halt.
+_SHARED = (
+    SdoRead(epos2.PROFILE_VELOCITY, 0, 4),
+    SdoRead(epos2.PROFILE_ACCELERATION, 0, 4),
+    SdoRead(epos2.PROFILE_DECELERATION, 0, 4),
+)
+
+
 def setpoint(drive: Drive, move: Trapezoid) -> list[SdoWrite]:
     """Target, velocity and accelerations of a move that is in whole units of the drive."""
     velocity = round(move.velocity / drive.velocity_unit)
     acceleration = round(move.acceleration / drive.acceleration_unit)
     return [
+        SdoWrite.integer(epos2.MOTION_PROFILE_TYPE, 0, TRAPEZOIDAL, 2),
         SdoWrite.integer(epos2.TARGET_POSITION, 0, round(move.end), 4, signed=True),
         SdoWrite.integer(epos2.PROFILE_VELOCITY, 0, velocity, 4),
         SdoWrite.integer(epos2.PROFILE_ACCELERATION, 0, acceleration, 4),

@@ -37,6 +37,7 @@ class PvtAxis:
     def begin(self) -> None:
         """A new motion, from where it stands."""
         self.account = BufferAccount()
+        self.drive.demand = None  # it is the records that it follows
         self.audit.rest(self.standing_qc)
 
     def send(self, record: Record) -> Frame:
