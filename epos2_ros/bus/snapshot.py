@@ -39,6 +39,7 @@ class AxisSnapshot:
     executed_qc: int | None  # position demand at the last SYNC
     records_sent: int
     homed: str = ""  # the method by which it was; "": it was not
+    reserve_ms: float | None = None  # least time before an underflow, since the motion began
     silent_s: float = 0.0  # not heard for so long; 0 as long as it is heard
     identity: Identity | None = None  # None until the drive has been brought up
 
@@ -126,6 +127,7 @@ def axis_snapshots(
                 free=BUFFER_SIZE - used,
                 size=BUFFER_SIZE,
                 buffered_ms=max(0.0, account.ahead_ms(path_ms)),
+                reserve_ms=account.reserve_ms,
                 records_sent=account.sent,
             )
         snapshots.append(snapshot)

@@ -101,6 +101,7 @@ def _drive_of(axis: AxisSnapshot, node: str, channel: str, limits: ClockLimits) 
         "following error [qc]": _given(axis.following_error_qc, "d"),
         "clock offset [us]": _given(axis.clock_offset_us, ".1f"),
         "clock drift [ppm]": _given(axis.clock_drift_ppm, ".2f"),
+        "least buffer reserve [ms]": _given(axis.reserve_ms, ".0f"),
     }
     who = axis.identity
     identity = (

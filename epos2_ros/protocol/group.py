@@ -791,7 +791,7 @@ class Group:
             self._move()
             return
         for mode, late in missing:
-            if self._now_us > start_us + mode.confirm_timeout_us:
+            if all(drive.heard_us > start_us + mode.confirm_timeout_us for drive in late):
                 where = ", ".join(f"{drive} ({drive.state.value})" for drive in late)
                 self._stop_all(f"{mode.unconfirmed_words}: {where}")
                 return

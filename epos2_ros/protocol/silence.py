@@ -2,7 +2,7 @@
 
 A host that is busy, stopped or swamped hears nobody, and what it has missed meanwhile it takes in
 late or never. So silence is not measured by a clock but by what comes in: every frame says that
-the bus was listened to up to its time. The host's own heartbeat is among them every 0.1 s; where
+the bus was listened to up to its time. The host's own heartbeat is among them every 50 ms; where
 nothing at all was heard for longer than MAX_GAP_US, the host wasn't listening, and the rest of
 the gap doesn't count. (A bus on which the host's own frames don't appear is the link's to notice.)
 """
@@ -13,7 +13,7 @@ import math
 
 SILENCE_US = 400_000.0
 """A drive not heard for so long is lost. It produces a heartbeat every 0.2 s and answers every
-SYNC; with a frame of the host every 0.1 s it is noticed within half a second."""
+SYNC; with a frame of the host every 50 ms it is noticed within half a second."""
 MAX_GAP_US = 150_000.0
 
 

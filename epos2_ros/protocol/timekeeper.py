@@ -26,7 +26,7 @@ from epos2_ros.protocol.drive import Drive
 from epos2_ros.protocol.frame import Frame
 from epos2_ros.protocol.pvt.path_audit import patience_syncs
 
-HEARTBEAT_PERIOD_US = 100_000.0  # of the host; the drives watch it (0x1016)
+HEARTBEAT_PERIOD_US = 50_000.0  # of the host; the drives watch it for 0.5 s (0x1016)
 HOST_NODE_ID = 127
 OPERATIONAL = b"\x05"
 ANSWER_US = 500.0  # per axis, for its two synchronous TPDOs, before the next SYNC

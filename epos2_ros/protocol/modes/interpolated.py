@@ -130,16 +130,15 @@ class Interpolated(Mode):
             gone = not axis.ip_active and axis.drive not in self.unconfirmed()
             if gone and not (account.ended and path_ms > account.committed_ms - EARLY_END_MS):
                 return f"{axis} left interpolated position mode on its own"
-        if self.feeder.ending and path_ms > self.feeder.committed_ms + END_TIMEOUT_MS:
-            active = [axis for axis in self.axes if axis.ip_active]
-            if active:
-                return f"{active[0]} is still active after its end record"
+            told_ms = self._path_time.at_ms(axis.drive.statusword_us)
+            if axis.ip_active and account.ended and told_ms is not None:
+                if told_ms > account.committed_ms + END_TIMEOUT_MS:
+                    return f"{axis} is still active after its end record"
         return ""
 
     def due_ms(self) -> float:
         reads_ms = self._path_time.at_ms(self._reads.due_us)
-        end_ms = self.feeder.committed_ms + END_TIMEOUT_MS
-        return min(self.feeder.due_ms, end_ms, math.inf if reads_ms is None else reads_ms)
+        return min(self.feeder.due_ms, math.inf if reads_ms is None else reads_ms)
 
     def arrived(self) -> bool:
         return not any(axis.ip_active for axis in self.axes)

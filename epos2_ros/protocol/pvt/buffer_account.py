@@ -29,6 +29,7 @@ class BufferAccount:
         self.ended = False  # the end record (time 0) was sent
         self.last_position_qc = 0
         self._excess = 0  # records that the drive had more than accounted for, at the last report
+        self.reserve_ms: float | None = None  # the least so far: see `note_reserve`
         self._begins: list[int] = []  # path time at which each record leaves the FIFO
         self._on_bus_us: deque[float] = deque()  # when each record was seen on the bus
         self._forgotten = 0  # records dropped from the head of `_begins`
@@ -67,6 +68,13 @@ class BufferAccount:
     def leaves_ms(self, count: int) -> float:
         """Path time from which fewer than `count` records are in the FIFO; 0 if never so many."""
         return self._begins[-count] if len(self._begins) >= count else 0.0
+
+    def note_reserve(self, path_ms: float) -> None:
+        """How long the drive could do without a record at `path_ms`, before two are left."""
+        if path_ms > 0 and not self.ended:
+            reserve_ms = self.leaves_ms(2) - path_ms
+            if self.reserve_ms is None or reserve_ms < self.reserve_ms:
+                self.reserve_ms = reserve_ms
 
     def report(self, free: int, asked_us: float, from_ms: float | None, to_ms: float | None) -> str:
         """The drive, asked at host time `asked_us`, had `free` records free between two path times.

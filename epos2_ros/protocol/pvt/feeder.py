@@ -5,9 +5,11 @@ READING: no text says whether the first record is the end of a segment or only t
 path starts. Either way the drive stays where it is; if it is only the starting point everything is
 HOLD_MS early, in all drives alike.
 
-Nothing is sent that time does not leave room for. Three records are kept in every drive besides
-the one in execution, and `buffer_time_ms` of motion; 3.6.3 of the application note asks for two
-in the FIFO and leaves open whether the executing segment counts.
+3.6.3 of the application note asks for two records in the FIFO and leaves open whether the executing
+segment counts. So what a buffer is good for is its *reserve*: for how long two records remain in it
+besides the one in execution. A record is sent when that gets less than `buffer_time_ms` without
+MARGIN_MS, or, however short that is, when fewer than three are left: a host that stalls for 100 ms
+less than the buffer time changes nothing. Nothing is sent that time does not leave room for.
 """
 
 from __future__ import annotations
@@ -26,7 +28,10 @@ from epos2_ros.protocol.pvt.axis import PvtAxis
 from epos2_ros.protocol.pvt.buffer_account import BufferAccount
 
 HOLD_MS = 1
-MIN_RECORDS_AHEAD = 3  # in the FIFO, so that two remain when the next segment begins
+MIN_RECORDS = 2  # in the FIFO besides the one in execution, or it underflows
+MIN_RECORDS_AHEAD = 3  # so that two remain when the next segment begins
+MARGIN_MS = 80.0  # less than 100 by what a host needs to send after its stall
+SHARE = 4  # of the buffer time is the longest segment: this bounds what is committed
 MAX_RECORDS_AHEAD = epos2.BUFFER_SIZE - 4
 STREAM_AHEAD_MS = 50.0
 """Streamed points are 100–150 ms ahead: with more committed, the axes would have to stop at
@@ -50,7 +55,7 @@ class Feeder:
         self._path_ms = 0.0
         self._axes = axes
         self._buffer_time_ms = buffer_time_ms
-        self._ahead_ms = buffer_time_ms
+        self._ahead_ms = self._reserve_ms = 0.0  # by which the drives have motion, and two records
         self._fitter = Fitter([axis.fit for axis in axes], tolerance_qc, smoothness=smoothness)
 
     def begin(self, reference: Reference) -> None:
@@ -73,10 +78,14 @@ class Feeder:
     def _follow(self, reference: Reference) -> None:
         self.reference = reference
         streamed = isinstance(reference.motions[-1], Stream)
-        self._ahead_ms = min(self._buffer_time_ms, STREAM_AHEAD_MS if streamed else math.inf)
-        # So short that three records fit in it: it then bounds what is committed.
-        longest = max(4, self._ahead_ms // MIN_RECORDS_AHEAD)
-        self._fitter.max_segment_ms = int(min(MAX_SEGMENT_MS, longest))
+        if streamed:
+            self._ahead_ms = min(self._buffer_time_ms, STREAM_AHEAD_MS)
+            self._reserve_ms, longest = 0.0, self._ahead_ms // MIN_RECORDS_AHEAD
+        else:
+            self._ahead_ms = 0.0
+            self._reserve_ms = max(self._buffer_time_ms - MARGIN_MS, 0.0)
+            longest = self._buffer_time_ms // SHARE
+        self._fitter.max_segment_ms = int(min(MAX_SEGMENT_MS, max(4, longest)))
 
     @property
     def committed_ms(self) -> int:
@@ -108,7 +117,10 @@ class Feeder:
             key=lambda candidate: self._due_ms(candidate[1].account),
         )
         record = self._next_record(index, axis)
-        return None if record is None else axis.send(record)
+        if record is None:
+            return None
+        axis.account.note_reserve(path_ms)
+        return axis.send(record)
 
     def _next_record(self, index: int, axis: PvtAxis) -> Record | None:
         if not axis.account.sent:
@@ -119,5 +131,9 @@ class Feeder:
             raise TrajectoryError(f"{axis}: {error}") from error
 
     def _due_ms(self, account: BufferAccount) -> float:
-        due = min(account.committed_ms - self._ahead_ms, account.leaves_ms(MIN_RECORDS_AHEAD))
+        due = min(
+            account.committed_ms - self._ahead_ms,
+            account.leaves_ms(MIN_RECORDS) - self._reserve_ms,
+            account.leaves_ms(MIN_RECORDS_AHEAD),
+        )
         return max(due, account.leaves_ms(MAX_RECORDS_AHEAD))
