@@ -49,7 +49,7 @@ def test_a_stall_that_the_buffer_covers_changes_nothing(buffer_time, seed):
         moved = trajectory.positions - trajectory.positions[0] + start
         bench.path.submit(Trajectory(JOINTS, trajectory.times_s, moved), None, bench.now_us)
         motion = bench.group.motion
-        bench.run(1.0, lambda: bench.group.start_us is not None)
+        bench.run(1.0, lambda: bench.machine.path_time.start_us is not None)
         bench.run(number * rng.uniform(0.0, 2.0))
         while not motion.done():
             bench.nap(buffer_time - 0.1)
@@ -58,7 +58,7 @@ def test_a_stall_that_the_buffer_covers_changes_nothing(buffer_time, seed):
                 assert ending or drive.buffer_level >= 2
             bench.run(rng.uniform(0.03, 0.4), motion.done)
         motion.result()
-        for axis in bench.group.axes:
+        for axis in bench.machine.interpolated.axes:
             assert axis.account.reserve_ms >= 15.0
 
 
@@ -66,19 +66,19 @@ def test_the_reserve_is_what_a_stall_has_left_of_it():
     bench = made(0.5)
     bench.path.submit(there_and_back(6.0, joints=2), None, bench.now_us)
     bench.run(2.0)
-    undisturbed = [axis.account.reserve_ms for axis in bench.group.axes]
+    undisturbed = [axis.account.reserve_ms for axis in bench.machine.interpolated.axes]
     assert all(415 <= reserve_ms <= 420 for reserve_ms in undisturbed)
     bench.nap(0.25)
     bench.run(0.1)
-    for axis, before in zip(bench.group.axes, undisturbed, strict=True):
+    for axis, before in zip(bench.machine.interpolated.axes, undisturbed, strict=True):
         assert 0 < axis.account.reserve_ms < before
         assert before - axis.account.reserve_ms <= 251
-    least = [axis.account.reserve_ms for axis in bench.group.axes]
+    least = [axis.account.reserve_ms for axis in bench.machine.interpolated.axes]
     assert min(least) == pytest.approx(420 - 250, abs=25 + 126)
     bench.wait(bench.group.motion)
-    assert [axis.account.reserve_ms for axis in bench.group.axes] == least
+    assert [axis.account.reserve_ms for axis in bench.machine.interpolated.axes] == least
     bench.path.submit(there_and_back(2.0, joints=2), None, bench.now_us)
-    assert all(axis.account.reserve_ms is None for axis in bench.group.axes)
+    assert all(axis.account.reserve_ms is None for axis in bench.machine.interpolated.axes)
 
 
 @pytest.mark.parametrize("buffer_time", [0.2, 0.5, 1.0])
@@ -87,10 +87,10 @@ def test_no_more_is_committed_than_that_takes(buffer_time):
     bench = made(buffer_time)
     bench.path.submit(there_and_back(6.0, joints=2), None, bench.now_us)
     ahead = []
-    while not bench.group.motion.done() and not bench.group.feeder.ending:
+    while not bench.group.motion.done() and not bench.feeder.ending:
         bench.run(0.003)
-        path_ms = bench.group.path_ms(bench.now_us)
+        path_ms = bench.machine.path_time.at_ms(bench.now_us)
         if path_ms is not None:
-            ahead.append(bench.group.feeder.committed_ms - path_ms)
+            ahead.append(bench.feeder.committed_ms - path_ms)
     assert len(ahead) > 1000
     assert max(ahead) <= 1000 * buffer_time * 1.75 - 80 + 5

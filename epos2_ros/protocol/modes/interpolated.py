@@ -130,10 +130,10 @@ class Interpolated(Mode):
             gone = not axis.ip_active and axis.drive not in self.unconfirmed()
             if gone and not (account.ended and path_ms > account.committed_ms - EARLY_END_MS):
                 return f"{axis} left interpolated position mode on its own"
-            told_ms = self._path_time.at_ms(axis.drive.statusword_us)
-            if axis.ip_active and account.ended and told_ms is not None:
-                if told_ms > account.committed_ms + END_TIMEOUT_MS:
-                    return f"{axis} is still active after its end record"
+            told_ms = self._path_time.at_ms(axis.drive.statusword_us) or 0.0
+            ended = account.ended and told_ms > account.committed_ms + END_TIMEOUT_MS
+            if axis.ip_active and ended:
+                return f"{axis} is still active after its end record"
         return ""
 
     def due_ms(self) -> float:
