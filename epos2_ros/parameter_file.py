@@ -87,7 +87,8 @@ class ParameterFile:
         nodes = [key for key in self.sections if "*" not in key and key.endswith(f"/{name}")]
         if len(nodes) > 1 and f"/{name}" not in nodes:
             raise ConfigurationError(
-                f"{self.source} has parameters of {', '.join(nodes)}: say which with --node"
+                f"{self.source} has parameters of {', '.join(nodes)}, and not of /{name}: say "
+                "which (plan: --node)"
             )
         return nodes[0] if len(nodes) == 1 else f"/{name}"
 

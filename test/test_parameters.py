@@ -265,6 +265,12 @@ def test_setting_is_checked_like_the_file(make):
     assert made.parameters.config() == make().parameters.config()
 
 
+def test_what_has_no_range_to_show_is_checked_all_the_same(make):
+    made = make()
+    assert "from 1 to 4294967295" in made.set("axes.joint_1.max_following_error", 2**32)
+    assert "at least 1e-09" in made.set("axes.joint_1.max_velocity", 0.0)
+
+
 def test_nothing_changes_while_configured(make):
     made = make()
     made.unconfigured = False
@@ -297,6 +303,8 @@ def test_every_parameter_is_declared_with_type_description_and_what_is_allowed(m
         assert descriptor.additional_constraints, name
         for range_ in descriptor.floating_point_range:  # rqt_reconfigure stops at an infinite one
             assert isfinite(range_.from_value) and isfinite(range_.to_value), name
+        for whole in descriptor.integer_range:  # and at one that Qt's slider can't hold
+            assert -(2**31) <= whole.from_value < whole.to_value < 2**31, name
     assert descriptors["sync.period"].floating_point_range[0].to_value == 1.0
     assert descriptors["outputs"].type == ParameterType.PARAMETER_STRING_ARRAY
     assert descriptors["outputs"].read_only

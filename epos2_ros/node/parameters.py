@@ -150,9 +150,9 @@ def descriptor(spec: Spec) -> ParameterDescriptor:
         additional_constraints=f"{spec.allowed}; {fixed}",
         read_only=spec.read_only,
     )
-    # No range with an infinite end: tools that make sliders of ranges stop at one.
+    # Tools make sliders of ranges: rqt_reconfigure stops at an infinite end, or one beyond 32 bits.
     if isinstance(spec.default, float) and math.isfinite(spec.low) and math.isfinite(spec.high):
         result.floating_point_range = [FloatingPointRange(from_value=spec.low, to_value=spec.high)]
-    elif type(spec.default) is int and not spec.choices:
+    elif type(spec.default) is int and not spec.choices and spec.high < 2**31:
         result.integer_range = [IntegerRange(from_value=int(spec.low), to_value=int(spec.high))]
     return result
