@@ -23,6 +23,7 @@ from epos2_ros.protocol.clock import time_of_day
 from epos2_ros.protocol.frame import Frame
 from epos2_ros.protocol.intake import SDO_RESPONSE, Rejects, intake_of
 from epos2_ros.protocol.outbox import Event, SdoRequest
+from epos2_ros.protocol.sdo import SdoRead, SdoWrite
 from epos2_ros.sim.can_bus import SimulatedBus, TransmitQueueFull
 from epos2_ros.sim.epos2 import Epos2
 
@@ -75,6 +76,12 @@ class Bench:
         self.on_event: Callable[[Event], object] = lambda event: None
         self._due_us = 0.0  # until when the bus runs on without the driver
         self._until: Callable[[], bool] = lambda: False
+        self._answered = False  # what canopen asked
+        self._serving = False  # canopen waits
+        self._job: SdoRequest | None = None  # at work
+        self._left: list[SdoWrite | SdoRead] = []  # of it
+        self._values: list[int] = []
+        self._asked_us = 0.0
         if bring_up:
             self.bring_up()
 
@@ -138,8 +145,50 @@ class Bench:
     def _step(self) -> None:
         self.machine.advance(self.now_us)
         self._flush()
-        while self.machine.out.requests:
+        while (request := self._next_request()) and not _short(request):
             self._perform(self.machine.out.requests.popleft())
+
+    def _next_request(self) -> SdoRequest | None:
+        """What the driver's worker would do now: one request after another."""
+        requests = self.machine.out.requests
+        return requests[0] if requests and self._job is None and not self._serving else None
+
+    def _serve(self) -> None:
+        """As the worker: SDO goes on beside everything else, where each access is a frame."""
+        if self._job is not None and self.now_us > self._asked_us + SDO_PATIENCE_US:
+            self._finish(f"node {self._job.node_id} does not answer")
+        request = self._next_request()
+        if request is not None and _short(request):
+            self._job = self.machine.out.requests.popleft()
+            self._left, self._values = [*request.writes, *request.reads], []
+            self._access()
+
+    def _access(self) -> None:
+        assert self._job is not None
+        if not self._left:
+            self._finish("")
+            return
+        what, data = self._left[0], b""
+        command = 0x40
+        if isinstance(what, SdoWrite):
+            data, command = what.data, 0x23 | (4 - len(what.data)) << 2
+        head = bytes([command]) + what.index.to_bytes(2, "little") + bytes([what.subindex])
+        self._asked_us = self.now_us
+        self._push(Frame(0x600 + self._job.node_id, head + data.ljust(4, b"\0")))
+
+    def _on_answer(self, data: bytes) -> None:
+        if not self._left or data[0] == 0x80:
+            self._finish(f"abort {int.from_bytes(data[4:], 'little'):08X}")
+            return
+        what = self._left.pop(0)
+        if isinstance(what, SdoRead):
+            self._values.append(what.decode(data[4:]))
+        self._access()
+
+    def _finish(self, error: str) -> None:
+        assert self._job is not None
+        job, self._job = self._job, None
+        self.machine.out.answer(job.number, () if error else self._values, error)
 
     def _perform(self, request: SdoRequest) -> None:
         node = next(node.node for node in self.nodes if node.node.id == request.node_id)
@@ -154,6 +203,7 @@ class Bench:
         out = self.machine.out
         while out.frames:
             self._push(out.frames.popleft())
+        self._serve()
         self.transmitter.pump(self.now_us)
         for event in out.events:
             self.on_event(event)
@@ -177,11 +227,16 @@ class Bench:
 
     def _send_service(self, frame: Frame) -> None:
         """canopen asks and waits: the answer has to arrive before this returns."""
+        self._await(lambda: self._job is None)
         self._push(frame)
         self.transmitter.pump(self.now_us)
+        self._answered, self._serving = False, True
+        self._await(lambda: self._answered)
+        self._serving = False
+
+    def _await(self, what: Callable[[], bool]) -> None:
         end_us = self.now_us + SDO_PATIENCE_US
-        self._answered = False
-        while self.now_us < end_us and not self._answered:
+        while self.now_us < end_us and not what():
             self._due_us = min(end_us, self._deadline_us, self.now_us + 500)
             self.bus.run_until(self._due_us, self._on_frame)
             self._hear()
@@ -195,15 +250,24 @@ class Bench:
         if echo:
             self.transmitter.on_echo(frame)
         elif can_id & 0x780 == 0x580:
-            self._answered = True
+            self._answered = self._job is None
         accepted = echo or self.intake.accepts(frame)
         if accepted:
             self.machine.receive(frame, self.stamp_us(t_us), echo)
+            if self._job is not None and not echo and can_id == 0x580 + self._job.node_id:
+                self._on_answer(frame.data)
         self.machine.advance(self.now_us)
         self._flush()
         if accepted and not echo and can_id & 0x780 == SDO_RESPONSE:
             self.network.notify(can_id, bytearray(data), t_us / 1e6)
         return self._deadline_us < self._due_us or self._until()
+
+
+def _short(request: SdoRequest) -> bool:
+    """Whether each access is one frame there and one back."""
+    return all(len(write.data) <= 4 for write in request.writes) and all(
+        read.size <= 4 for read in request.reads
+    )
 
 
 def move_on(made: Bench) -> None:

@@ -143,6 +143,7 @@ def drive_misses_a_record(made: Recorded) -> None:
 
 
 def bus_goes_off(made: Recorded) -> None:
+    made.run(0.003)  # nothing is on its way
     made.group.bus_failed("socketcan:can0 is bus off: check cable, termination and can.bitrate")
     made.transmitter.push = lambda frame: None  # as the link, which sends nothing any more
 

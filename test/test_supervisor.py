@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from two_processes import SCAN, Rig, rig
 
-from epos2_ros.bus.epos2 import Epos2Node
+from epos2_ros.bus import driver as bus_driver
 from epos2_ros.bus.link import Link
 from epos2_ros.bus.predictor import Predictor
 from epos2_ros.errors import BusError, DriveError
 from epos2_ros.motion.trajectory import Trajectory
-from epos2_ros.protocol.group import Event, Group
+from epos2_ros.protocol.group import Group, Phase
+from epos2_ros.protocol.outbox import Event
 from epos2_ros.protocol.timekeeper import Timekeeper
 
 Break = Callable[[Rig], None]
@@ -33,7 +34,7 @@ def made() -> Iterator[Rig]:
         yield made
 
 
-def raises_once(monkeypatch: pytest.MonkeyPatch, owner: type, name: str) -> threading.Event:
+def raises_once(monkeypatch: pytest.MonkeyPatch, owner: object, name: str) -> threading.Event:
     """The next call of a method raises `Mistake`."""
     original, raised = getattr(owner, name), threading.Event()
 
@@ -53,6 +54,7 @@ def assert_stopped_and_said(made: Rig, where: str) -> None:
     assert f"internal error in {where}: Mistake: " in snapshot.reason
     assert "test_supervisor.py:" in snapshot.reason
     assert snapshot.internal_errors >= 1
+    made.wait(lambda snapshot: made.driver._machine.group.phase is Phase.FAULT)  # no longer halting
     with pytest.raises(DriveError, match="reset the fault first"):
         made.driver.enable()
 
@@ -76,7 +78,7 @@ def test_the_drivers_thread(
 
 
 def test_sdo(made: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
-    raised = raises_once(monkeypatch, Epos2Node, "clear_buffer")
+    raised = raises_once(monkeypatch, bus_driver, "perform")
     with pytest.raises(DriveError):
         made.driver.halt()  # clears the buffers at its end
     assert raised.is_set()

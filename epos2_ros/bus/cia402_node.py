@@ -23,7 +23,7 @@ from epos2_ros.protocol.family import Family
 from epos2_ros.protocol.pdo import PdoMapping
 from epos2_ros.protocol.timekeeper import HOST_NODE_ID
 
-FIRST_ATTEMPTS = 8  # of 0.3 s each, to get an answer from a drive that may be starting up
+FIRST_ATTEMPTS = 2  # of more than a second each, for a drive that may be starting up
 BRING_UP_LIMIT_S = 20.0  # of one drive, from its first answer on
 FAULT_RESET_TIMEOUT_S = 1.0  # real drives take 25 ms
 PDO_INVALID, PDO_NO_REMOTE = 1 << 31, 1 << 30  # in a PDO's COB-ID (CiA 301, 7.5.2.35)

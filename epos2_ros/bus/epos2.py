@@ -61,18 +61,6 @@ class Epos2Node:
         }
         return self._access.configure(self._write_objects, inhibit_us)
 
-    def clear_buffer(self) -> None:
-        """Empty the interpolation buffer and enable access to it (0x60C4-06: 0, then 1)."""
-        index, subindex = epos2.INTERPOLATION_DATA_CONFIGURATION, epos2.BUFFER_CLEAR_SUBINDEX
-        name = self._objects.name(index, subindex)
-        self._objects.write(index, 0, subindex, f"clear its buffer, {name}")
-        self._objects.write(index, 1, subindex, f"enable access to its buffer, {name}")
-
-    def free_records(self) -> int:
-        """How many records the buffer still takes (0x60C4-02)."""
-        index, subindex = epos2.INTERPOLATION_DATA_CONFIGURATION, epos2.ACTUAL_BUFFER_SUBINDEX
-        return self._objects.read(index, subindex)
-
     def produce_sync(self, period_us: int) -> None:
         """The drive sends SYNC from now on; 0: no longer."""
         generates = epos2.GENERATES_SYNC if period_us else 0

@@ -6,8 +6,6 @@ one line: the drive, what was attempted in words, what the drive answered, what 
 
 from __future__ import annotations
 
-import queue
-import struct
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -82,11 +80,6 @@ class SdoAccess:
         variable = self._variable(index, subindex)
         data = self._transfer(attempt, "", lambda: self._node.sdo.upload(index, subindex))
         size = self.size(index, subindex) // 8
-        if len(data) < size:
-            raise NoAnswer(
-                f"{self._drive}: can't {attempt}: {len(data)} bytes came where it has {size}; "
-                "check that the drive's firmware is one that is supported"
-            )
         signed = variable.data_type in datatypes.SIGNED_TYPES
         return int.from_bytes(data[:size], "little", signed=signed)
 
@@ -139,16 +132,7 @@ class SdoAccess:
             answer = describe_abort(error.code, self._joint, check)
             raise Refused(f"{failed}the drive refuses it: {answer}", error.code) from error
         except canopen.SdoCommunicationError as error:
-            if isinstance(error.__context__, queue.Empty):
-                what = f"no answer within {self._node.sdo.RESPONSE_TIMEOUT:g} s"
-            else:
-                what = f"not the answer to it: {error}"
             raise NoAnswer(
-                f"{failed}{what}; check the drive's power and the wiring, and that no other "
+                f"{failed}{error}; check the drive's power and the wiring, and that no other "
                 "program talks to the drive"
-            ) from error
-        except (struct.error, canopen.ObjectDictionaryError) as error:
-            raise NoAnswer(
-                f"{failed}what came is no answer to an SDO request ({error}); check that no other "
-                "device has this node id"
             ) from error

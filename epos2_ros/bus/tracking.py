@@ -77,7 +77,8 @@ def tracked(
         reference = Reference.at_rest(units, here)
     else:
         known_us = zero_us + 1000 * feeder.known_from_ms
-    times = np.array([drive.measured_us(1e6 / state_rate) for drive in drives])
+    inhibit_us = 1e6 / state_rate
+    times = np.array([drive.measured_us(inhibit_us) for drive in drives])
     return Tracking(
         now_us=now_us,
         joints=tuple(drive.joint for drive in drives),
@@ -87,7 +88,9 @@ def tracked(
         execution=path.execution,
         state=machine.group.describe_phase(),
         position=np.array([_measured(unit, axis.position_qc) for unit, axis in axes]),
-        velocity=np.array([unit.from_velocity_units(float(axis.velocity)) for unit, axis in axes]),
+        velocity=np.array(
+            [unit.from_qc_s(axis.velocity_now_qc_s(inhibit_us)) for unit, axis in axes]
+        ),
         measured_us=np.where(np.isfinite(times), times, now_us),
     )
 

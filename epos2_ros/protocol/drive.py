@@ -21,6 +21,7 @@ from epos2_ros.protocol.pdo import SYNCHRONOUS, PdoMapping
 from epos2_ros.protocol.sdo import SdoRead, SdoWrite
 
 HOLDS_PERIODS = 2.0  # so many of its inhibit time after a change a drive has reported it
+SAMPLES_APART_US = 250_000.0  # two positions tell a velocity when they are no further apart
 SYNC_ANSWER_AGE_US = 50_000.0  # an answer to SYNC may wait so long for its turn on the bus
 
 
@@ -54,7 +55,8 @@ class Drive:
         self.active_us = -math.inf  # when bit 12 was last reported set
         self.buffer_status = 0
         self.position_qc: int | None = None
-        self.velocity = 0  # [velocity_unit]
+        self.velocity = 0.0  # [velocity_unit]
+        self._told_velocity = 0.0  # likewise, in the drive's own steps
         self.sample_us = -math.inf  # when that was
         self.current_ma: int | None = None
         self.demand_qc: int | None = None
@@ -91,6 +93,7 @@ class Drive:
         """
         layout = self._layouts[cob_id]
         values = layout.read(data)
+        before_qc, before_us = self.position_qc, self.sample_us
         repeats = layout.synchronous and t_us <= self._event_us + SYNC_ANSWER_AGE_US
         for name, value in values.items():
             if name == "statusword":
@@ -102,6 +105,9 @@ class Drive:
             self._event_us = t_us
         if "position_qc" in values:
             self.sample_us = self.sync_us if layout.synchronous else t_us
+        if "velocity" in values:
+            self._told_velocity = float(self.velocity)
+            self.velocity = self._finer(self._told_velocity, before_qc, before_us)
         layout.read_us = t_us
         if "demand_qc" in values:
             self.demand_us = t_us
@@ -150,7 +156,22 @@ class Drive:
 
     @property
     def velocity_qc_s(self) -> float:
+        """When it was last at `position_qc`."""
         return self.velocity * self.velocity_unit
+
+    def velocity_now_qc_s(self, inhibit_us: float) -> float:
+        """Of a drive that rests, and so repeats neither position nor velocity, what it told."""
+        rests = self.measured_us(inhibit_us) > self.sample_us
+        return (self._told_velocity if rests else self.velocity) * self.velocity_unit
+
+    def _finer(self, told: float, before_qc: int | None, before_us: float) -> float:
+        """A velocity that is told in coarse steps, within a step by the last two positions."""
+        apart_us = self.sample_us - before_us
+        if before_qc is None or self.position_qc is None or not 0 < apart_us <= SAMPLES_APART_US:
+            return told
+        between = (self.position_qc - before_qc) / apart_us * 1e6 / self.velocity_unit
+        step = self.family.velocity_step_qc_s / self.velocity_unit
+        return min(max(between, told - step), told + step)
 
     def trouble(self) -> str:
         """What the drive complains of, in words; "" if nothing."""

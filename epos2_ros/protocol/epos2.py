@@ -41,6 +41,7 @@ VENDOR_ID = 0x000000FB
 DEVICE_PROFILE = 402
 BUFFER_SIZE = 64
 MODE_INTERPOLATED_POSITION = 7
+VELOCITY_STEP_QC_S = 1000.0  # 0x606C is made of the counts of one cycle of 1 ms
 FIRST_SOFTWARE = 0x2101  # that has it
 QUICK_STOP_OPTION = 3  # of 0x6007
 
@@ -279,5 +280,6 @@ FAMILY = Family(
     homing_methods=homing_methods.EPOS2,
     has_clock=True,
     referenced_bit=REFERENCED,
+    velocity_step_qc_s=VELOCITY_STEP_QC_S,
     power_up_bit=REFRESH_CYCLE,
 )

@@ -58,6 +58,9 @@ class Rerun:
         """A machine that has done nothing yet."""
         self._machine = machine_of(self._config)
         self._group = self._machine.group
+        self._pdo_bytes: dict[int, int] = {}
+        for drive in self._machine.drives:
+            self._pdo_bytes |= drive.pdo_bytes
         self._names = {drive.node_id: str(drive) for drive in self._machine.drives}
         self._repeater = Repeater(self._machine)
         self._phase = self._group.phase
@@ -73,6 +76,8 @@ class Rerun:
         rejected, self._rejected = self._rejected, False
         if line.kind != "data" or rejected or not self._running:
             return
+        if not line.sent and len(line.data) != self._pdo_bytes.get(line.can_id, len(line.data)):
+            return  # the driver did not let it in either, or the log is cut here
         if line.sent and self._is_ours(line.can_id):
             yield from self._compare(line)
         try:

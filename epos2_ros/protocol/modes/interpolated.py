@@ -123,8 +123,9 @@ class Interpolated(Mode):
         self._feed(path_ms)
         if self._broken:
             return self._broken
-        self._reads.watch(now_us)
-        self._ask()
+        if not self.unconfirmed():
+            self._reads.watch(now_us)
+            self._ask()
         for axis in self.axes:
             account = axis.account
             gone = not axis.ip_active and axis.drive not in self.unconfirmed()

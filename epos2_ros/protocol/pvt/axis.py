@@ -40,8 +40,8 @@ class PvtAxis:
         self.drive.demand = None  # it is the records that it follows
         self.audit.rest(self.standing_qc)
 
-    def send(self, record: Record) -> Frame:
-        """One more reference point for its buffer (RPDO1)."""
-        self.account.send(record)
+    def send(self, record: Record, path_ms: float) -> Frame:
+        """One more reference point for its buffer (RPDO1), at a path time; 0 before the start."""
+        self.account.send(record, path_ms)
         self.audit.send(record)
         return Frame(epos2.RPDO1 + self.drive.node_id, record.pack())

@@ -15,7 +15,9 @@ from collections import deque
 from epos2_ros.motion.record import Record
 from epos2_ros.protocol.epos2 import BUFFER_SIZE
 
-REPORT_LATENCY_US = 50_000.0
+SEND_LATENCY_MS = 30.0
+"""So long after it was handed over a record is in the drive, or lost."""
+REPORT_LATENCY_US = 20_000.0
 """So long before a drive is asked a record has to be on the bus to be surely in its report: an echo
 may only say that the adapter has the frame, whose queue is still before it."""
 
@@ -32,11 +34,13 @@ class BufferAccount:
         self.reserve_ms: float | None = None  # the least so far: see `note_reserve`
         self._begins: list[int] = []  # path time at which each record leaves the FIFO
         self._on_bus_us: deque[float] = deque()  # when each record was seen on the bus
-        self._forgotten = 0  # records dropped from the head of `_begins`
+        self._sent_ms: list[float] = []  # path time at which each was handed over
+        self._forgotten = 0  # records dropped from the head of these three
 
-    def send(self, record: Record) -> None:
-        """Enter a record that was handed to the bus."""
+    def send(self, record: Record, path_ms: float) -> None:
+        """Enter a record that was handed to the bus at a path time; 0 before the start."""
         self._begins.append(self.committed_ms)
+        self._sent_ms.append(path_ms)
         self.committed_ms += record.time
         self.ended = record.time == 0
         self.last_position_qc = record.position
@@ -87,7 +91,10 @@ class BufferAccount:
             least = most = self.sent
         else:
             from_ms = from_ms or 0.0
-            surely = self._forgotten + bisect_right(self._on_bus_us, asked_us - REPORT_LATENCY_US)
+            surely = self._forgotten + max(
+                bisect_right(self._on_bus_us, asked_us - REPORT_LATENCY_US),
+                bisect_right(self._sent_ms, from_ms - SEND_LATENCY_MS),
+            )
             least = surely - min(surely, self.sent - self.used(to_ms + 2.0))
             most = self.used(from_ms - 2.0) + 1  # with the one in execution
             self._forget(from_ms - REPORT_LATENCY_US / 1000)
@@ -104,7 +111,7 @@ class BufferAccount:
         """Drop what left the FIFO before `path_ms`, so that hours of motion need no memory."""
         gone = min(bisect_right(self._begins, path_ms) - 4, len(self._on_bus_us) - 4)
         if gone > 64:
-            del self._begins[:gone]
+            del self._begins[:gone], self._sent_ms[:gone]
             for _ in range(gone):
                 self._on_bus_us.popleft()
             self._forgotten += gone

@@ -4,8 +4,8 @@ No PDO can carry that object on most drives (the application note maps it, the m
 don't allow it), so the host keeps books (`buffer_account`) and asks now and then: every drive
 before a start, which has to report every record that was sent; in motion one after the other, so
 that each is asked twice while what is ahead in its buffer lasts. A lost record is then found before
-it is due. One answer in motion may be wrong by what was on its way: the drive is asked again at
-once, and a second one in a row is a fault.
+it is due. One answer in motion may be wrong by what was on its way: the drive is asked again soon,
+and a second one in a row is a fault.
 
 Somebody else does the asking, by SDO; the answer is seen on the bus as any other frame.
 """
@@ -18,7 +18,7 @@ from collections.abc import Sequence
 
 from epos2_ros.protocol.pvt.axis import PvtAxis
 
-ASK_AGAIN_US = 50_000.0  # a drive that has not yet reported what it was sent
+ASK_AGAIN_US = 50_000.0  # a drive whose answer was not what it has to be
 
 
 class BufferReads:
@@ -94,7 +94,7 @@ class BufferReads:
             if index in self._suspects:
                 return wrong
             self._suspects.add(index)
-            self._ask(index, asked_us)
+            self._next, self._due_us = index, asked_us + ASK_AGAIN_US
         return ""
 
     def unanswered(self, index: int) -> bool:

@@ -120,7 +120,7 @@ class Feeder:
         if record is None:
             return None
         axis.account.note_reserve(path_ms)
-        return axis.send(record)
+        return axis.send(record, path_ms)
 
     def _next_record(self, index: int, axis: PvtAxis) -> Record | None:
         if not axis.account.sent:
