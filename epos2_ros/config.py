@@ -87,6 +87,7 @@ class DriverConfig:
     tolerance: float = 1.0  # [qc]
     smoothness: float = 0.0  # as of motion.fit.Fitter
     start_tolerance: float = 0.01  # [rad or m]
+    approach: bool = False  # go to the first point, where the axes are away from it
     goal_time: float = 1.0  # [s]; 0: no limit
     allow_partial_joints_goal: bool = False
     state_rate: float = 50.0  # [Hz]

@@ -167,6 +167,11 @@ GROUP: dict[str, Spec] = {
     "constraints.goal_time": Spec(
         1.0, "action: how long after its end a goal may be reached [s]; 0: no limit", 0.0, 1e6
     ),
+    "approach": Spec(
+        False,
+        "where the first point of a trajectory is away from the axes, they go there first, in "
+        "profile position mode; false: such a trajectory is refused",
+    ),
     "allow_partial_joints_goal": Spec(
         False, "accept a trajectory for some of the joints; the others hold"
     ),
@@ -326,6 +331,7 @@ class DriverParameters:
             tolerance=values["ipm.tolerance"],
             smoothness=values["ipm.smoothness"],
             start_tolerance=values["constraints.start_tolerance"],
+            approach=values["approach"],
             goal_time=values["constraints.goal_time"],
             allow_partial_joints_goal=values["allow_partial_joints_goal"],
             state_rate=values["state_rate"],

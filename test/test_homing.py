@@ -327,3 +327,57 @@ def test_a_move_is_stopped_at_every_instant_and_does_not_go_on(stop, after_s):
     assert [drive.position_demand for drive in bench.drives] == here
     bench.wait(bench.machine.move_to({"joint_1": 0.1, "joint_2": 0.1}))
     assert [drive.position_demand for drive in bench.drives] == [round(0.1 * QC_PER_RAD)] * 2
+
+
+# ---------------------------------------------------------------------------- approach
+
+
+def from_afar() -> Trajectory:
+    points = np.array([[0.4, -0.2], [0.6, 0.0]])
+    return Trajectory(("joint_1", "joint_2"), np.array([0.0, 3.0]), points, np.zeros((2, 2)))
+
+
+def approaching() -> Bench:
+    config = DriverConfig(axes=axes(2, **LIMITS), approach=True)
+    bench = Bench(config, [Epos2(n, record=True) for n in (1, 2)])
+    bench.enable()
+    return bench
+
+
+def test_a_trajectory_that_begins_elsewhere_is_approached():
+    bench = approaching()
+    execution = bench.path.submit(from_afar(), None, bench.now_us)
+    bench.run(20.0, execution.ended.done)
+    execution.ended.result(timeout=0)
+    assert [drive.position_demand for drive in bench.drives] == [round(0.6 * QC_PER_RAD), 0]
+    assert [event.kind for event in bench.events if event.kind == "started"] == ["started"] * 2
+    # the records begin where the move has led
+    path = np.array([q for _, q in bench.drives[0].recorder.executed()]) / QC_PER_RAD
+    assert path[0] == pytest.approx(0.4, abs=1 / QC_PER_RAD)
+
+
+@pytest.mark.parametrize("after_s", [0.0, 0.01, 0.1, 0.3, 0.6, 1.0])
+def test_an_approach_is_stopped_as_every_motion(after_s):
+    bench = approaching()
+    execution = bench.path.submit(from_afar(), None, bench.now_us)
+    bench.run(after_s)
+    stopped = bench.path.stop()
+    if stopped is not None:
+        bench.run(5.0, stopped.done)
+    bench.run(2.0)
+    assert execution.ended.exception(timeout=0) is not None
+    here = [drive.position_demand for drive in bench.drives]
+    assert here != [round(0.6 * QC_PER_RAD), 0]
+    bench.run(1.0)
+    assert [drive.position_demand for drive in bench.drives] == here
+    assert bench.group.phase is Phase.STANDING
+
+
+def test_what_could_not_be_run_is_not_approached():
+    bench = approaching()
+    points = np.array([[0.4, -0.2], [3.0, 0.0]])  # too fast from there
+    fast = Trajectory(("joint_1", "joint_2"), np.array([0.0, 0.5]), points, np.zeros((2, 2)))
+    with pytest.raises(TrajectoryError, match="joint_1"):
+        bench.path.submit(fast, None, bench.now_us)
+    bench.run(1.0)
+    assert [drive.position_demand for drive in bench.drives] == [0, 0]

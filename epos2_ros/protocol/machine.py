@@ -71,7 +71,10 @@ class Machine:
         }
         self.group = Group(rest, self.time, self.path_time, self.out)
         self.path = PathCommander(
-            self.group, self.interpolated, replace(config, axes=tuple(followers))
+            self.group,
+            self.interpolated,
+            replace(config, axes=tuple(followers)),
+            self.move_to,
         )
 
     def _audit(self, fit: FitAxis) -> PathAudit:

@@ -15,7 +15,7 @@ take-over, `commit` says so, and it is placed anew.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
 from enum import Enum
@@ -43,6 +43,7 @@ class Way(Enum):
     """How a trajectory begins."""
 
     BEGIN = "from rest"
+    APPROACH = "from rest at its first point, where the axes go first"
     TAKE_OVER = "from the motion in progress"
     WAIT = "when the motion in progress has ended"
 
@@ -105,10 +106,17 @@ def refuse_unreferenced(
 class PathCommander:
     """Trajectories in, references for the axes of `interpolated` out. Times are host µs.
 
-    `config` is that of these axes.
+    `config` is that of these axes; `approach(targets)` begins a move to joint positions [unit].
     """
 
-    def __init__(self, group: Group, interpolated: Interpolated, config: DriverConfig) -> None:
+    def __init__(
+        self,
+        group: Group,
+        interpolated: Interpolated,
+        config: DriverConfig,
+        approach: Callable[[Mapping[str, float]], object],
+    ) -> None:
+        self._approach = approach
         self._group = group
         self._interpolated = interpolated
         self._config = config
@@ -178,6 +186,15 @@ class PathCommander:
                     return False
                 self._interpolated.plan(reference)
                 group.begin([self._interpolated], placement.planned_start_us)
+            case Way.APPROACH:
+                if not group.standing or placement.standing_qc != self._standing_qc():
+                    return False
+                trajectory = placement.trajectory
+                first = trajectory.positions[0].tolist()
+                self._approach(dict(zip(trajectory.joint_names, first, strict=True)))
+                self._waiting = placement, execution
+                group.out.announce("waiting", "the axes first go to where the trajectory begins")
+                return True
             case Way.TAKE_OVER:
                 if feeder.reference is not placement.current or not self._in_motion:
                     return False
@@ -235,7 +252,7 @@ class PathCommander:
         phase = self._group.phase
         if not (self._group.moving or self._group.standing):
             self.execution = None
-        if self._waiting is None or phase in IN_MOTION:
+        if self._waiting is None or phase in IN_MOTION or self._group.motion is not None:
             return
         if phase is not Phase.STANDING:
             self.drop_waiting(self._group.describe_phase())
@@ -269,6 +286,13 @@ class PathCommander:
             unit.from_qc(float(demand_qc or 0))
             for unit, demand_qc in zip(self._units, self._standing_qc(), strict=True)
         ]
+        if self._config.approach and trajectory.times_s[0] <= 0 and start_ms == HOLD_MS:
+            first = dict(zip(trajectory.joint_names, trajectory.positions[0].tolist(), strict=True))
+            there = [first.get(unit.joint, at) for unit, at in zip(self._units, here, strict=True)]
+            away = max(abs(a - b) for a, b in zip(here, there, strict=True))
+            if away > self._config.start_tolerance:
+                rest = Reference.at_rest(self._units, there)
+                return self._placement(Way.APPROACH, trajectory, stamp_us, rest, HOLD_MS, HOLD_MS)
         rest = Reference.at_rest(self._units, here)
         return self._placement(
             Way.BEGIN, trajectory, stamp_us, rest, HOLD_MS, start_ms, planned_start_us
