@@ -652,26 +652,6 @@ def test_the_state_at_a_time(world):
 # -- processes of their own --------------------------------------------------------------------
 
 
-def test_it_can_be_remapped(ros_env, ros_domain_id):
-    arguments = ["-r", "~/follow_joint_trajectory:=/arm_controller/follow_joint_trajectory"]
-    driver = subprocess.Popen(
-        [sys.executable, "-m", "epos2_ros", "driver", "--ros-args", *arguments], env=ros_env
-    )
-    context = Context()
-    rclpy.init(args=[], context=context, domain_id=ros_domain_id)
-    node = Node("client", context=context)
-    try:
-        action = ActionClient(
-            node, FollowJointTrajectory, "/arm_controller/follow_joint_trajectory"
-        )
-        assert action.wait_for_server(WAIT_S)
-    finally:
-        driver.terminate()
-        assert driver.wait(WAIT_S) == 0
-        node.destroy_node()
-        context.shutdown()
-
-
 def test_without_control_msgs_the_driver_runs(ros_env):
     """In a process where it can't be imported."""
     script = (

@@ -70,6 +70,7 @@ EXECUTOR_THREADS = 12
 DIAGNOSTICS_PERIOD_S = 1.0
 EVENTS_KEPT = 1000  # of an output, for a subscriber that is slow: they come in bursts
 CLOCK_READINGS = 3
+SIGNALS_S = 0.25  # between looks for signals
 SWITCH_INTERVAL_S = 0.0005  # how long a received frame waits for a computing thread; Python: 5 ms
 
 MakeDriver = Callable[
@@ -532,7 +533,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         target=spin, args=(executor, node, stopped), name="executor", daemon=True
     )
     spinning.start()
-    asked_to_stop.wait()
+    # Handlers run in this thread only, and a signal that the kernel has handed to another does not
+    # wake it.
+    while not asked_to_stop.wait(SIGNALS_S):
+        pass
     for name in signals:
         logger.info(f"{name}: stopping")
     node.shut_down()
