@@ -24,6 +24,7 @@ from epos2_ros.config import ClockLimits
 from epos2_ros.errors import BusError, DriveError
 from epos2_ros.node.messages import diagnostics
 from epos2_ros.protocol.frame import Frame
+from epos2_ros.protocol.intake import Intake, Rejects
 
 pytestmark = pytest.mark.socketcan
 
@@ -156,7 +157,9 @@ def test_only_our_own_frames_are_taken_for_echoes(vcan: str) -> None:
             job()
 
     ours, theirs = Frame(0x080), Frame(0x183, b"\x01")
-    link = Link("socketcan", vcan, 1_000_000, on_frame, print, print, post)
+    intake = Intake({}, {}, Rejects())
+    link = Link("socketcan", vcan, 1_000_000, intake, on_frame, print, print, post)
+    link.probe()
     with can.Bus(vcan, "socketcan") as other:
         for frame in (theirs, ours, Frame(0x7FF)):  # a SYNC that we have not sent, too
             if frame is ours:

@@ -7,6 +7,7 @@ jobs. What blocks (SDO) runs on a worker, so that feeding never waits for an ans
 from __future__ import annotations
 
 import logging
+import threading
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -36,6 +37,7 @@ from epos2_ros.buslog.writer import LogWriter
 from epos2_ros.compare_config import CompareConfig
 from epos2_ros.config import AxisConfig, DriverConfig
 from epos2_ros.errors import (
+    BusError,
     ConfigurationError,
     DriveError,
     MotionAborted,
@@ -52,6 +54,7 @@ from epos2_ros.protocol.frame import Frame
 from epos2_ros.protocol.group import Phase
 from epos2_ros.protocol.identity import Identity
 from epos2_ros.protocol.intake import Rejects, intake_of
+from epos2_ros.protocol.other_host import OtherHost
 from epos2_ros.protocol.outbox import Event, SdoRequest
 from epos2_ros.protocol.outputs import OutputEvent
 from epos2_ros.protocol.path import Placement, refuse_ended
@@ -62,6 +65,7 @@ T = TypeVar("T")
 
 REQUEST_TIMEOUT_S = 30.0  # the group's own limits are shorter; this one guards the wait
 IDLE_US = 100_000.0
+LISTEN_S = 0.25  # for another host: two of its heartbeats
 
 
 class Driver:
@@ -114,6 +118,9 @@ class Driver:
             self._supervisor,
         )
         self._rejects = Rejects()
+        names = {drive.node_id: str(drive) for drive in self._machine.drives}
+        self._other_host = OtherHost(names, self._machine.time.producer is None)
+        self._another = threading.Event()  # another host was heard before the bring-up
 
     # ------------------------------------------------------------------ life
 
@@ -161,6 +168,7 @@ class Driver:
     def _open(self) -> None:
         config = self._config
         self._brought_up = self._doubtful = False
+        self._another.clear()
         self._link = Link(
             config.interface,
             config.channel,
@@ -172,6 +180,11 @@ class Driver:
             self._reactor.post,
             self._on_other,
         )
+        # Before anything is sent: what another host does with these drives goes on untouched.
+        if not config.simulate and self._another.wait(LISTEN_S):
+            self._link.close()
+            raise BusError(self._other_host.still_there(now_us()))
+        self._link.probe()
         network = self._link.network
         self._nodes = {
             drive: node_of(network, axis, config)
@@ -184,7 +197,12 @@ class Driver:
             self._worker.run(partial(self._bring_up_drive, drive))
         self._reactor.call(lambda: self._group.start_clock(now_us(), time_of_day(time.time())))
         self._produce_sync(round(self._config.sync_period * 1e6))
+        self._refuse_another_host()
         self._brought_up = True
+
+    def _refuse_another_host(self) -> None:
+        if told := self._reactor.call(lambda: self._other_host.still_there(now_us())):
+            raise BusError(told)
 
     def _produce_sync(self, period_us: int) -> None:
         if (producer := self._machine.time.producer) is not None:
@@ -366,6 +384,7 @@ class Driver:
 
         After an internal error all begins anew. The axes stay off.
         """
+        self._refuse_another_host()
         lost: Sequence[Drive] = self._reactor.call(self._group.lost)
         sound = self._link is not None and not self._link.failed and self._brought_up
         if self._link is not None and (not sound or self._doubtful):
@@ -440,6 +459,10 @@ class Driver:
 
     def _on_frame(self, frame: Frame, t_us: float, echo: bool) -> None:
         t_us = round(t_us, 3)  # what a log holds: run over it again, all is the same
+        if not echo and (told := self._other_host.look(frame, t_us, self._brought_up)):
+            self._another.set()
+            if self._brought_up:
+                self._group.fail(told)
         self._machine.receive(frame, t_us, echo)
         self._outputs.receive(frame, t_us, echo)
         self._flush()

@@ -83,6 +83,7 @@ class Link:
         self._on_failure = on_failure
         self._on_other = on_other
         self._bitrate = bitrate
+        self._probing = False  # and our frame has not come back yet
         self._echo_seen = threading.Event()
         self._heard_us = now_us()  # up to when the bus was listened to
         self._traffic: deque[tuple[float, int]] = deque()
@@ -96,15 +97,15 @@ class Link:
         self._closing = False
         self._receiver = threading.Thread(target=self._receive, name="CAN receiver", daemon=True)
         self._receiver.start()
-        try:
-            self._probe()
-        except BusError:
-            self.close()
-            raise
 
-    def _probe(self) -> None:
-        """Send what bring-up begins with anyway, and see whether the adapter gives it back."""
+    def probe(self) -> None:
+        """Send what bring-up begins with anyway, and see whether the adapter gives it back.
+
+        Until then only to be listened to. BusError if no frame can be sent; the link is closed.
+        """
+        self._probing = True
         if not self._hand_over(ENTER_PRE_OPERATIONAL):
+            self.close()
             raise BusError(f"{self.name} takes no frames: is the interface up, the bus wired?")
         self._transmitter.echoes = self._echo_seen.wait(PROBE_TIMEOUT_S)
 
@@ -121,13 +122,14 @@ class Link:
         """Send what may be sent now; call again at `deadline_us`."""
         if self._pumping:  # asked by `on_frame`: below the next are told, in their order
             return
-        self._pumping, through = True, self._transmitter.pump(now_us(), self._heard_us)
-        while through:
-            for frame, t_us in through:
-                self._count(frame, t_us)
-                self._on_frame(frame, t_us, True)
-            through = self._transmitter.pump(now_us(), self._heard_us)
-        self._pumping = False
+        self._pumping = True
+        try:
+            while through := self._transmitter.pump(now_us(), self._heard_us):
+                for frame, t_us in through:
+                    self._count(frame, t_us)
+                    self._on_frame(frame, t_us, True)
+        finally:
+            self._pumping = False
         if self._transmitter.stalled:
             self.fail(
                 "no longer puts frames on the bus: check the cable, its termination and whether "
@@ -210,9 +212,12 @@ class Link:
             elif message.is_rx:  # else it is ours
                 self._reject(f"{kind} frame", f"{kind} frame 0x{frame.can_id:03X}")
         else:
-            if frame == ENTER_PRE_OPERATIONAL:  # ours: there is one NMT master
+            if self._probing and frame == ENTER_PRE_OPERATIONAL:
+                self._probing = False
                 self._echo_seen.set()
-            self._post(partial(self._take_in, frame, t_us))
+                self._post(partial(self._take_probe, frame, t_us))
+            else:
+                self._post(partial(self._take_in, frame, t_us))
 
     def _reject(self, kind: str, what: str, times: int = 1) -> None:
         told = f"{self.name}: {what}"
@@ -220,6 +225,11 @@ class Link:
 
     def _nothing_until(self, t_us: float) -> None:
         self._heard_us = max(self._heard_us, t_us)
+
+    def _take_probe(self, frame: Frame, t_us: float) -> None:
+        self._heard_us = max(self._heard_us, t_us)
+        self._count(frame, t_us)
+        self._on_frame(frame, t_us, True)
 
     def _take_in(self, frame: Frame, t_us: float) -> None:
         self._heard_us = max(self._heard_us, t_us)
