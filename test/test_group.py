@@ -307,6 +307,28 @@ def test_disable_and_enable():
     assert_on_path(made)
 
 
+@pytest.mark.parametrize(("request_", "off"), [("disable", {0x21}), ("quick_stop", {0x40, 0x07})])
+def test_what_is_off_stays_off_though_it_was_being_enabled(request_, off):
+    """Whenever it is asked for: "enable operation" may just be on its way to a drive."""
+    for ms in np.arange(0.0, 12.0, 2.0):
+        made = Bench(DriverConfig(axes=axes(2)), [Epos2(1), Epos2(2)])
+        made.group.enable()
+        made.run(ms / 1000)
+        made.wait(getattr(made.group, request_)())
+        made.run(1.0)
+        assert made.group.phase is Phase.DISABLED
+        assert {statusword(drive) & 0x6F for drive in made.drives} <= off, ms
+
+
+def test_a_drive_that_somebody_else_enables_is_switched_off_again():
+    made = bench()
+    made.wait(made.group.disable())
+    made.drives[2].receive(0x503, b"\x0f\x00", made.now_us)
+    assert statusword(made.drives[2]) & 0x6F != 0x21
+    made.run(0.5)
+    assert [statusword(drive) & 0x6F for drive in made.drives] == [0x21] * 6
+
+
 # ---------------------------------------------------------------------------- trouble
 
 

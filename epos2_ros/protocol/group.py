@@ -42,6 +42,8 @@ SETTLING_SYNCS = 10  # as many periods, and REPLY_TIMEOUT_US, has a group to be 
 REPLY_TIMEOUT_US = 1_000_000.0  # for one step of a drive that has been told something
 READY_TIMEOUT_US = 3_000_000.0  # for a mode to be set, and what it takes to stand in it
 RESEND_US = 200_000.0  # a controlword without effect so long is sent again
+STALE_US = 20_000.0  # so long after a controlword a drive may report what was before it, …
+QUIET_US = 300_000.0  # … and so long after it would have reported what became of one before
 STOP_TIMEOUT_US = 5_000_000.0  # for an axis to come to rest after a halt or quick stop
 HALT_REACTION_US = 100_000.0  # a drive that has not begun to halt by then is quick-stopped
 ROUNDING_US = 1.0  # so much later than due, path time has come to it whatever its last digit
@@ -199,6 +201,8 @@ class Group:
         self._heard(drive, t_us)
         if drive.statusword & cia402.FAULT_BIT:
             self._trouble()
+        if self.phase is Phase.DISABLED and drive.state is State.OPERATION_ENABLED:
+            self._tell(drive, cia402.SHUTDOWN)  # whatever has enabled it
 
     def _heard(self, drive: Drive, t_us: float) -> None:
         drive.heard_us = t_us
@@ -538,21 +542,14 @@ class Group:
         target = _WALK_TARGET[self.phase]
         waiting = []
         for drive in self.drives:
-            if drive.state is target:
+            if self._is_at(drive, target):
                 continue
-            if self.phase is Phase.DISABLING and drive.state is State.FAULT:
-                continue  # its power stage is off; the fault stays for whoever resets it
             waiting.append(drive)
-            last = self._steps.get(drive)
-            if last and last.state is drive.state and self._now_us < last.sent_us + RESEND_US:
-                continue
             controlword = cia402.step(drive.state, target)
-            if controlword is None or drive.powering_up:
-                continue
-            if controlword == cia402.FAULT_RESET:  # bit 7 has to rise
-                self.out.frames.append(drive.controlword(cia402.DISABLE_VOLTAGE))
-            self.out.frames.append(drive.controlword(controlword))
-            self._steps[drive] = _Step(drive.state, self._now_us)
+            if drive.state is target and drive not in self._steps:
+                controlword = cia402.SHUTDOWN
+            if controlword is not None and not drive.powering_up:
+                self._tell(drive, controlword)
         if not waiting:
             self._walked()
         elif self._now_us > self._phase_us + STOP_TIMEOUT_US:
@@ -564,6 +561,38 @@ class Group:
                     for drive in waiting
                 )
             )
+
+    def _is_at(self, drive: Drive, target: State) -> bool:
+        """Whether a drive is where the phase wants it, and is going to stay there."""
+        if self.phase is not Phase.DISABLING:
+            return drive.state is target
+        if drive.state is target:
+            return self._has_taken(drive, State.READY_TO_SWITCH_ON)
+        # Its power stage is off; the fault stays for whoever resets it.
+        return drive.state is State.FAULT
+
+    def _has_taken(self, drive: Drive, state: State) -> bool:
+        """Whether a drive in `state` is there by what this phase has told it.
+
+        Where it was there before, "enable operation" may have been on its way to it.
+        """
+        last = self._steps.get(drive)
+        if last is None:
+            return False
+        if last.state is not state:
+            return True
+        told_us = last.sent_us
+        return drive.statusword_us > told_us + STALE_US or self._now_us > told_us + QUIET_US
+
+    def _tell(self, drive: Drive, controlword: int) -> None:
+        """Send it, once for each state that the drive is in, and again if that has no effect."""
+        last = self._steps.get(drive)
+        if last and last.state is drive.state and self._now_us < last.sent_us + RESEND_US:
+            return
+        if controlword == cia402.FAULT_RESET:  # bit 7 has to rise
+            self.out.frames.append(drive.controlword(cia402.DISABLE_VOLTAGE))
+        self.out.frames.append(drive.controlword(controlword))
+        self._steps[drive] = _Step(drive.state, self._now_us)
 
     def _walked(self) -> None:
         if self.phase is Phase.ENABLING:
@@ -891,8 +920,8 @@ class Group:
         self._end_modes()
         self._enter(Phase.QUICK_STOPPING)
         for drive in self.drives:
-            if drive.state is State.OPERATION_ENABLED:
-                self.out.frames.append(drive.controlword(cia402.QUICK_STOP))
+            if drive.state is not State.FAULT:  # also who is about to be enabled
+                self._tell(drive, cia402.QUICK_STOP)
 
     def _finish_halt(self) -> None:
         """When all stand: the bits fall before the halt is released, or motion starts again."""
@@ -952,15 +981,10 @@ class Group:
         return drive.state is not State.FAULT_REACTION_ACTIVE
 
     def _finish_quick_stop(self) -> None:
-        moving = [
-            drive
-            for drive in self.drives
-            if drive.state in (State.OPERATION_ENABLED, State.FAULT_REACTION_ACTIVE)
-            or (
-                drive.state is State.QUICK_STOP_ACTIVE
-                and not drive.statusword & cia402.TARGET_REACHED
-            )
-        ]
+        moving = [drive for drive in self.drives if not self._quick_stop_done(drive)]
+        for drive in moving:
+            if drive.state is State.OPERATION_ENABLED:
+                self._tell(drive, cia402.QUICK_STOP)
         if not moving:
             self._faulted |= bool(self._complaints())
             self._off()
@@ -968,6 +992,17 @@ class Group:
             self._settle_fault(
                 "quick stop: " + ", ".join(f"{drive} is in {drive.state.value}" for drive in moving)
             )
+
+    def _quick_stop_done(self, drive: Drive) -> bool:
+        match drive.state:
+            case State.OPERATION_ENABLED | State.FAULT_REACTION_ACTIVE:
+                return False
+            case State.QUICK_STOP_ACTIVE:
+                return bool(drive.statusword & cia402.TARGET_REACHED)
+            case State.FAULT:
+                return True
+            case _:
+                return self._has_taken(drive, drive.state)
 
     def silent(self, drive: Drive) -> bool:
         """Whether a drive is not heard any more, as far as the bus was listened to."""
