@@ -147,12 +147,12 @@ def test_what_is_desired_is_what_is_measured(bench):
     is compared with what was commanded when it was measured, not with what is commanded now."""
     submit(bench, 1.0, 2.0)
     largest = 0.0
-    for step in range(260):
+    for step in range(380):
         bench.run(0.01)
         if step == 70:
-            submit(bench, 0.3, 1.5)
+            submit(bench, 0.3, 2.0)
         elif step == 130:
-            submit(bench, 0.6, 1.0)
+            submit(bench, 0.6, 2.0)
         now = track(bench)
         off, speed = np.abs(now.desired.position - now.position), np.abs(now.desired.velocity)
         late_s = 2e-3  # a drive samples every millisecond; then the frame has to wait and pass

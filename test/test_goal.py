@@ -165,7 +165,7 @@ def test_a_refusal_has_its_own_code():
 
 
 def bench_of(buffer_time: float) -> Bench:
-    config = DriverConfig(axes=axes(2, max_velocity=3.0), buffer_time=buffer_time)
+    config = DriverConfig(axes=AXES, buffer_time=buffer_time)
     bench = Bench(config, [Epos2(n) for n in (1, 2)])
     bench.enable()
     return bench
