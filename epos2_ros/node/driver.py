@@ -482,7 +482,7 @@ def spin(executor: Executor, node: DriverNode, stopped: threading.Event) -> None
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """`epos2_ros driver`: runs until Ctrl-C or SIGTERM, then stops on the path and returns 0."""
+    """`epos2_ros driver`: until Ctrl-C, SIGTERM or SIGHUP; then stops on the path and returns 0."""
     args = sys.argv[1:] if argv is None else list(argv)
     usage = argparse.ArgumentParser(
         prog="epos2_ros driver",
@@ -500,6 +500,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, on_signal)
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # which `nohup` has asked for
+        signal.signal(signal.SIGHUP, on_signal)
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     try:
         given = given_parameters(args)
