@@ -859,7 +859,13 @@ def test_buffer_status_has_the_numbers():
 )
 def test_diagnostics_of_a_drive(state, fault, level, message):
     axis = axis_snapshot(
-        "a", 3, state=state, fault=fault, following_error_qc=-4, clock_drift_ppm=12.5
+        "a",
+        3,
+        state=state,
+        fault=fault,
+        following_error_qc=-4,
+        clock_drift_ppm=12.5,
+        reserve_ms=361.6,
     )
     array = messages.diagnostics(snapshot_of(axis), "epos2_driver", "can0", Time(), ClockLimits())
     drive = array.status[0]
@@ -868,6 +874,7 @@ def test_diagnostics_of_a_drive(state, fault, level, message):
     assert values["state"] == state
     assert values["following error [qc]"] == "-4"
     assert float(values["clock drift [ppm]"]) == 12.5
+    assert values["least buffer reserve [ms]"] == "362"
 
 
 @pytest.mark.parametrize(
