@@ -75,9 +75,10 @@ class ParameterFile:
         ConfigurationError, which says for which nodes it has parameters, where that is nothing.
         """
         matching = [name for name in self.sections if _matches(name, node)]
-        if not matching:
+        given = {name: value for key in matching for name, value in self.sections[key].items()}
+        if not given:
             self._nothing_for(node)
-        return {name: value for key in matching for name, value in self.sections[key].items()}
+        return given
 
     def node(self, name: str) -> str:
         """The full name of the one node `name` that it has parameters of, in any namespace.
@@ -93,11 +94,12 @@ class ParameterFile:
         return nodes[0] if len(nodes) == 1 else f"/{name}"
 
     def _nothing_for(self, node: str) -> NoReturn:
-        if not self.sections:
+        others = [name for name, parameters in self.sections.items() if parameters]
+        if not others:
             raise ConfigurationError(f"{self.source} has no parameters")
         raise ConfigurationError(
             f"nothing in {self.source} is for {node}: it has parameters of "
-            f"{', '.join(self.sections)}; name the node there, or write {ANY_NODE} for any node"
+            f"{', '.join(others)}; name the node there, or write {ANY_NODE} for any node"
         )
 
 

@@ -160,6 +160,12 @@ def test_a_file_without_parameters_gives_no_node_any(rcl: Rcl, text: str) -> Non
     assert not ours(text)
 
 
+@pytest.mark.parametrize("text", ["", "# nothing\n", "/**: {ros__parameters: {}}\n"])
+def test_and_that_is_said(text: str) -> None:
+    with pytest.raises(ConfigurationError, match="^my.yaml has no parameters$"):
+        ParameterFile.parse(text, "my.yaml").of("/epos2_driver")
+
+
 @pytest.mark.parametrize(
     ("text", "node"),
     [

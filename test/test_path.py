@@ -218,3 +218,44 @@ def test_an_empty_trajectory_stops_on_the_path():
     assert_smooth(path)
     assert 0.05 < path[-1, 0] < 0.95
     assert np.abs(path[:, 1] - 0.5 * path[:, 0]).max() <= 2.0 / QC_PER_RAD
+
+
+def kinds(bench: Bench) -> list[str]:
+    return [event.kind for event in bench.events]
+
+
+def test_the_log_tells_of_each_motion_how_it_began_and_ended():
+    bench = made_bench()
+    there = move([0.0, 3.0], [[0.0, 0.0], [1.0, -1.0]])
+    bench.path.submit(there, None, bench.now_us)
+    bench.run(1.0)
+    bench.path.submit(move([2.0], [[0.5, 0.0]]), None, bench.now_us)
+    bench.run(0.5)
+    bench.path.stop()
+    run_to_end(bench)
+    assert kinds(bench) == ["started", "replaced", "done"]
+    assert bench.events[-1].text == "stopped on the path"
+    bench.events.clear()
+    bench.path.submit(move([1.0], [[0.0, 0.0]]), bench.now_us + 4e6, bench.now_us)
+    bench.run(1.0)
+    bench.path.stop()
+    bench.run(0.2)
+    assert kinds(bench) == ["waiting", "cancelled"]
+    assert "4.0 s ahead" in bench.events[0].text
+    bench.events.clear()
+    bench.path.submit(move([2.0], [[0.0, 0.0]]), None, bench.now_us)
+    bench.run(1.0)
+    bench.group.halt()
+    bench.run(1.0)
+    assert kinds(bench) == ["started", "stopped"]  # on request: no error
+    assert bench.events[-1].text == "halted on request"
+
+
+def test_points_of_a_stream_are_no_lines_of_their_own():
+    bench = made_bench()
+    for n in range(1, 20):
+        point = np.array([[0.002 * n, 0.0]])
+        bench.path.submit(Trajectory(JOINTS, np.array([0.12]), point), None, bench.now_us)
+        bench.run(0.05)
+    run_to_end(bench)
+    assert kinds(bench) == ["started", "done"]
