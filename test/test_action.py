@@ -481,7 +481,7 @@ def test_a_new_goal_takes_over(world):
     before = world.here
     first = world.send(to(world, 1.0, 0.0, in_s=2.0))
     time.sleep(0.6)
-    goal = FollowJointTrajectory.Goal(trajectory=trajectory([(1.5, before + [0.4, 0.1])]))
+    goal = FollowJointTrajectory.Goal(trajectory=trajectory([(2.5, before + [0.4, 0.1])]))
     second = world.send(goal)
     status, code, words = first.ended()
     assert (status, code) == (GoalStatus.STATUS_ABORTED, Result.INVALID_GOAL)
@@ -497,7 +497,7 @@ def test_a_trajectory_on_the_topic_takes_over(world):
     world.wait(publisher.get_subscription_count)
     pursued = world.send(to(world, 1.0, 0.0, in_s=2.0))
     time.sleep(0.5)
-    publisher.publish(trajectory([(1.2, before + [0.3, 0.0])]))
+    publisher.publish(trajectory([(2.5, before + [0.3, 0.0])]))
     status, code, words = pursued.ended()
     assert (status, code) == (GoalStatus.STATUS_ABORTED, Result.INVALID_GOAL)
     assert "taken over" in words
