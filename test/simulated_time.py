@@ -156,7 +156,7 @@ class Bench:
     def _serve(self) -> None:
         """As the worker: SDO goes on beside everything else, where each access is a frame."""
         if self._job is not None and self.now_us > self._asked_us + SDO_PATIENCE_US:
-            self._finish(f"node {self._job.node_id} does not answer")
+            self._finish("does not answer")
         request = self._next_request()
         if request is not None and _short(request):
             self._job = self.machine.out.requests.popleft()
@@ -188,6 +188,9 @@ class Bench:
     def _finish(self, error: str) -> None:
         assert self._job is not None
         job, self._job = self._job, None
+        if error:
+            drive = next(d for d in self.machine.drives if d.node_id == job.node_id)
+            error = f"{drive}: {error}"
         self.machine.out.answer(job.number, () if error else self._values, error)
 
     def _perform(self, request: SdoRequest) -> None:

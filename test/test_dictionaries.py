@@ -103,7 +103,7 @@ def test_a_drive_that_stops_telling_them_in_motion_is_a_warning_said_once() -> N
     made.bus.drop = lambda can_id, data, source: can_id == 0x582
     made.wait(made.group.motion)
     warnings = [event.text for event in made.events if event.kind == "warning"]
-    assert warnings == ["joint_2 (node 2): node 2 does not answer"]
+    assert warnings == ["joint_2 (node 2): does not answer"]
     assert made.group.phase is Phase.STANDING
 
 

@@ -40,7 +40,7 @@ class Wire:
         self.answers = answers
         self.requests: list[bytes] = []
         network = Network(self._send)
-        self.node = RemoteNode(1, DICTIONARY)
+        self.node = RemoteNode(1, DICTIONARY, "joint_1")
         network[1] = self.node
         self.sdo = self.node.sdo
         self.sdo.RESPONSE_TIMEOUT = 0.005

@@ -59,8 +59,8 @@ class Cia402Node:
     def __init__(self, network: Network, family: Family, joint: str, node_id: int) -> None:
         self.joint = joint
         self._node_id = node_id
-        self.node = RemoteNode(node_id, object_dictionary(family))
-        self.objects = SdoAccess(self.node, joint, str(self))
+        self.node = RemoteNode(node_id, object_dictionary(family), joint)
+        self.objects = SdoAccess(self.node)
         self._family = family
         network[node_id] = self.node
 
@@ -174,7 +174,7 @@ class Cia402Node:
             attempt = f"{what} (0x{index:04X}-{subindex:02X})"
             objects.write(index, value, subindex, attempt)
 
-        before = objects.read(record, 1)
+        before = objects.read(record, 1, f"read the COB-ID of {pdo} (0x{record:04X}-01)")
         write(record, 1, before | PDO_INVALID, f"switch {pdo} off")
         kind = mapping.transmission_type
         write(record, 2, kind, f"set the transmission type of {pdo} to {kind}")

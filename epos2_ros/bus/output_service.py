@@ -9,9 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
-import canopen
-
 from epos2_ros.bus.reactor import Reactor
+from epos2_ros.bus.sdo_client import RemoteNode
 from epos2_ros.bus.sdo_jobs import perform, read_position, write_all
 from epos2_ros.bus.timestamps import now_us
 from epos2_ros.bus.worker import Worker
@@ -44,13 +43,13 @@ class OutputService:
         watches = {d.joint: ProfilePathWatch(d) for d in machine.drives} | watches
         self.protocol = Outputs(axes, configs, [watches[axis.joint] for axis in axes])
         self._joints = [axis.joint for axis in axes]
-        self._nodes: list[canopen.RemoteNode] = []
+        self._nodes: list[RemoteNode] = []
         self._worker = worker
         self._reactor = reactor
         self._on_event = on_event
         self._on_notice = on_notice
 
-    def open(self, nodes: Mapping[str, canopen.RemoteNode]) -> None:
+    def open(self, nodes: Mapping[str, RemoteNode]) -> None:
         """A bus has been opened; by joint, the nodes on it."""
         self._nodes = [nodes[joint] for joint in self._joints]
 

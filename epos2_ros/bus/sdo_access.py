@@ -14,6 +14,7 @@ from typing import TypeVar
 import canopen
 from canopen.objectdictionary import datatypes
 
+from epos2_ros.bus.sdo_client import RemoteNode
 from epos2_ros.errors import DriveError
 from epos2_ros.protocol.sdo import NO_OBJECT, NO_SUBINDEX, describe_abort
 
@@ -38,15 +39,10 @@ class NoAnswer(DriveError):
 
 
 class SdoAccess:
-    """Reads and writes integers of `node`'s EDS; `drive` names it in errors ("joint_1 (node 1)").
+    """Reads and writes objects of `node`. All methods raise DriveError: Refused or NoAnswer."""
 
-    `joint`: whose parameters are to be checked. All methods raise DriveError: Refused or NoAnswer.
-    """
-
-    def __init__(self, node: canopen.RemoteNode, joint: str, drive: str) -> None:
+    def __init__(self, node: RemoteNode) -> None:
         self._node = node
-        self._joint = joint
-        self._drive = drive
         self._limit_s = 0.0
         self._deadline_s = float("inf")
 
@@ -74,9 +70,9 @@ class SdoAccess:
         """Of an object [bits]."""
         return len(self._variable(index, subindex))
 
-    def read(self, index: int, subindex: int = 0) -> int:
-        """The value of an object."""
-        attempt = f"read {self.name(index, subindex)}"
+    def read(self, index: int, subindex: int = 0, attempt: str = "") -> int:
+        """The value of an object; `attempt`: what that is, in words."""
+        attempt = attempt or f"read {self.name(index, subindex)}"
         variable = self._variable(index, subindex)
         data = self._transfer(attempt, "", lambda: self._node.sdo.upload(index, subindex))
         size = self.size(index, subindex) // 8
@@ -103,13 +99,24 @@ class SdoAccess:
         data = self._variable(index, subindex).encode_raw(value)
         self._transfer(done, check, lambda: self._node.sdo.download(index, subindex, data))
 
+    def upload(self, index: int, subindex: int) -> bytes:
+        """The value of an object as it is on the bus, whether the EDS has it or not."""
+        attempt = f"read {self.name(index, subindex)}"
+        return self._transfer(attempt, "", lambda: self._node.sdo.upload(index, subindex))
+
+    def download(self, index: int, subindex: int, data: bytes) -> None:
+        """Set an object likewise."""
+        value = f" to {int.from_bytes(data, 'little')}" if len(data) <= 4 else ""
+        attempt = f"set {self.name(index, subindex)}{value}"
+        self._transfer(attempt, "", lambda: self._node.sdo.download(index, subindex, data))
+
     def keep(self, index: int, value: int, subindex: int, attempt: str, lest: str) -> None:
         """Set an object, and see that the drive keeps it; `lest`: what would come of it if not."""
         self.write(index, value, subindex, attempt)
         kept = self.read(index, subindex)
         if kept != value:
             raise DriveError(
-                f"{self._drive} does not keep {value} in {self.name(index, subindex)}, but {kept}: "
+                f"{self._node} does not keep {value} in {self.name(index, subindex)}, but {kept}: "
                 f"{lest}; check that its firmware is one that is supported"
             )
 
@@ -120,7 +127,7 @@ class SdoAccess:
         return variable
 
     def _transfer(self, attempt: str, check: str, transfer: Callable[[], T]) -> T:
-        failed = f"{self._drive}: can't {attempt}: "
+        failed = f"{self._node}: can't {attempt}: "
         if time.monotonic() > self._deadline_s:
             raise NoAnswer(
                 f"{failed}the {self._limit_s:g} s are over in which a drive has to be set up; "
@@ -129,7 +136,7 @@ class SdoAccess:
         try:
             return transfer()
         except canopen.SdoAbortedError as error:
-            answer = describe_abort(error.code, self._joint, check)
+            answer = describe_abort(error.code, self._node.joint, check)
             raise Refused(f"{failed}the drive refuses it: {answer}", error.code) from error
         except canopen.SdoCommunicationError as error:
             raise NoAnswer(

@@ -105,7 +105,14 @@ class SdoClient(CanopenSdoClient):
 
 
 class RemoteNode(canopen.RemoteNode):
-    """canopen's node, with this client."""
+    """canopen's node, with this client; `str` names the drive."""
+
+    def __init__(self, node_id: int, dictionary: canopen.ObjectDictionary, joint: str) -> None:
+        super().__init__(node_id, dictionary)
+        self.joint = joint
+
+    def __str__(self) -> str:
+        return f"{self.joint} (node {self.id})"
 
     def add_sdo(self, rx_cobid: int, tx_cobid: int) -> SdoClient:
         """An SDO channel; canopen makes the first when the node is made."""

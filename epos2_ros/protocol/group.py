@@ -645,7 +645,7 @@ class Group:
     def _answer_of(self, drive: Drive) -> Callable[[Sequence[int], str], None]:
         def then(values: Sequence[int], error: str) -> None:
             if error and self.phase is not Phase.FAULT:
-                self.fail(f"{drive}: {error}")
+                self.fail(error)
 
         return then
 

@@ -179,9 +179,9 @@ class Interpolated(Mode):
         """The answer was seen on the bus, as any other frame; without one no motion starts."""
         if error and self._reads.unanswered(index):
             if self._path_time.start_us is None:
-                self._broken = f"{self.axes[index]}: {error}"
+                self._broken = error
             else:
-                self._out.announce("warning", f"{self.axes[index]}: {error}")
+                self._out.announce("warning", error)
 
     # ------------------------------------------------------------------ what was on the bus
 
