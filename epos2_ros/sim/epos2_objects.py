@@ -8,87 +8,15 @@ Left out are objects that the EDS calls internal. The PDOs' records follow below
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
 
-from .dictionary import (
-    INTEGER8,
-    INTEGER16,
-    INTEGER32,
-    UNSIGNED8,
-    UNSIGNED16,
-    UNSIGNED32,
-    UNSIGNED64,
-    VISIBLE_STRING,
-    DataType,
-)
-
-_TYPES = {
-    "u8": UNSIGNED8,
-    "u16": UNSIGNED16,
-    "u32": UNSIGNED32,
-    "u64": UNSIGNED64,
-    "i8": INTEGER8,
-    "i16": INTEGER16,
-    "i32": INTEGER32,
-    "str": VISIBLE_STRING,
-}
-
-
-@dataclass(frozen=True)
-class Row:
-    """One sub-object. `low` and `high` are None where the EDS gives no range, `default` where it
-    gives none; a default that counts from the node id has it added by `of_node`.
-    """
-
-    index: int
-    subindex: int
-    type: DataType
-    access: str
-    mappable: bool
-    default: int | None
-    of_node: bool
-    low: int | None
-    high: int | None
-    name: str
-
-    def default_of(self, node_id: int) -> int | None:
-        """The default of the drive with this node id."""
-        if self.default is None or not self.of_node:
-            return self.default
-        return self.default + node_id
+from .maker_table import PdoRow, Row, parse
 
 
 @cache
 def rows() -> tuple[Row, ...]:
     """All of the dictionary, the PDOs' records aside."""
-    return tuple(_row(line) for line in _TABLE.strip().splitlines())
-
-
-def _row(line: str) -> Row:
-    index, subindex, kind, access, default, span, name = line.split(maxsplit=6)
-    of_node = default.startswith("id+")
-    low, _, high = span.partition("..")
-    return Row(
-        int(index, 16),
-        int(subindex),
-        _TYPES[kind],
-        access.rstrip("*"),
-        access.endswith("*"),
-        None if default == "-" else int(default.removeprefix("id+"), 0),
-        of_node,
-        int(low, 0) if high else None,
-        int(high, 0) if high else None,
-        name,
-    )
-
-
-@dataclass(frozen=True)
-class PdoRow:
-    """A PDO as the drive leaves the factory."""
-
-    cob_id: int  # without the node id
-    mapping: tuple[int, ...]
+    return parse(_TABLE)
 
 
 RPDOS = (
