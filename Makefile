@@ -22,7 +22,7 @@ demo: $(VENV)/.package
 	$(VENV)/bin/python -m epos2_ros demo $(ARGS)
 
 test: $(VENV)/.package $(VENV)/.tools $(VENV)/.control_msgs
-	$(VENV)/bin/python -m pytest $(ARGS)
+	$(VENV)/bin/python test/run.py $(ARGS)
 
 bench: $(VENV)/.package $(VENV)/.bench
 	$(VENV)/bin/python -m benchmarks $(ARGS)
