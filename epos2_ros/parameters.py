@@ -197,7 +197,7 @@ GROUP: dict[str, Spec] = {
 }
 
 AXIS: dict[str, Spec] = {
-    "drive": Spec("epos2", "family of the drive", choices=("epos2", "copley")),
+    "drive": Spec("epos2", "family of the drive", choices=("epos2", "copley", "cl3e")),
     "node_id": Spec(1, "CANopen node id", 1, MAX_AXES),
     "type": Spec("revolute", "revolute [rad] or prismatic [m]", choices=("revolute", "prismatic")),
     "counts_per_turn": Spec(2000, "quadrature counts per motor turn [qc]", 4, 10_000_000),

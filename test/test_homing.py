@@ -18,6 +18,7 @@ from epos2_ros.config import AxisConfig, DriverConfig, HomingConfig
 from epos2_ros.errors import ConfigurationError, MotionAborted, TrajectoryError
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.protocol.group import Phase
+from epos2_ros.sim.cl3e import Cl3e
 from epos2_ros.sim.copley import Copley
 from epos2_ros.sim.epos2 import Epos2
 from epos2_ros.sim.homing import Switches
@@ -248,22 +249,24 @@ def test_a_method_that_a_family_does_not_have_is_refused(drive, method, words):
 # ---------------------------------------------------------------------------- point to point
 
 
-def read(drive: Epos2 | Copley, index: int) -> int:
+def read(drive: Epos2 | Copley | Cl3e, index: int) -> int:
     return int.from_bytes(drive.dictionary[index, 0].pack(), "little", signed=True)
 
 
 @pytest.mark.parametrize("duration_s", [0.0, 1.37])
-def test_axes_of_both_families_leave_on_one_sync_and_arrive_within_a_millisecond(duration_s):
+def test_axes_of_all_families_leave_on_one_sync_and_arrive_within_a_millisecond(duration_s):
     epos2s = axes(3, **LIMITS)
-    copleys = tuple(
-        AxisConfig(f"z_{n}", n, drive="copley", counts_per_turn=2000, gear_ratio=100.0, **LIMITS)
-        for n in (4, 5)
+    others = tuple(
+        AxisConfig(f"z_{n}", n, drive=drive, counts_per_turn=2000, gear_ratio=100.0, **LIMITS)
+        for n, drive in ((4, "copley"), (5, "copley"), (6, "cl3e"), (7, "cl3e"))
     )
-    config = DriverConfig(axes=epos2s + copleys)
-    drives = [Epos2(n, record=True) for n in (1, 2, 3)] + [Copley(n) for n in (4, 5)]
+    config = DriverConfig(axes=epos2s + others)
+    drives = [Epos2(n, record=True) for n in (1, 2, 3)]
+    drives += [Copley(4), Copley(5), Cl3e(6, boot_ms=0.0), Cl3e(7, boot_ms=0.0)]
     bench = Bench(config, drives)
     bench.enable()
     targets = {"joint_1": 1.0, "joint_2": -0.31, "joint_3": 0.05, "z_4": 0.7, "z_5": -0.021}
+    targets |= {"z_6": -0.9, "z_7": 0.05}
     asked_us = bench.now_us
     motion = bench.machine.move_to(targets, duration_s)
     bench.run(1.0, lambda: bench.group.phase is Phase.MOVING)
@@ -274,16 +277,21 @@ def test_axes_of_both_families_leave_on_one_sync_and_arrive_within_a_millisecond
     for axis, drive in zip(config.axes, drives, strict=True):
         # What it was told: its way at this velocity [qc/s] and acceleration [qc/s²].
         way, v, a = (read(drive, index) for index in (0x607A, 0x6081, 0x6083))
-        v, a = (v * 2000 / 60, a * 2000 / 60) if axis.drive == "epos2" else (v * 0.1, a * 10)
+        v, a = (v * 0.1, a * 10) if axis.drive == "copley" else (v * 2000 / 60, a * 2000 / 60)
         assert way == round(targets[axis.joint] * QC_PER_RAD)
         peak = min(v, math.sqrt(abs(way) * a))
         lasted.append(abs(way) / peak + peak / a)
         assert v <= LIMITS["max_velocity"] * QC_PER_RAD * 1.01
     # 1 rad at 2 rad/s and 8 rad/s² takes 1/2 + 2/8 s
-    assert lasted == pytest.approx([max(0.75, duration_s)] * 5, abs=1e-3)
+    assert lasted == pytest.approx([max(0.75, duration_s)] * 7, abs=1e-3)
     assert max(lasted) - min(lasted) <= 1e-3
     bench.wait(motion)
     assert bench.group.phase is Phase.STANDING
+    arrived = [(drive.arrived_us - start_us) / 1e6 for drive in drives[3:]]
+    # each looks once in its cycle, of 250 µs and of 1 ms
+    assert arrived == pytest.approx([max(0.75, duration_s)] * 4, abs=1.6e-3)
+    for axis, drive in zip(config.axes, drives, strict=True):
+        assert drive.position_actual == pytest.approx(targets[axis.joint] * QC_PER_RAD, abs=1)
     there = Trajectory(
         ("joint_1", "joint_2", "joint_3"), np.array([0.0, 1.0]),
         np.array([[1.0, -0.31, 0.05], [0.0, 0.0, 0.0]]),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
+from epos2_ros.bus.cl3e import Cl3eNode, Cl3eSettings
 from epos2_ros.bus.copley import CopleyNode, CopleySettings
 from epos2_ros.bus.epos2 import Epos2Node
 from epos2_ros.bus.link import Network
@@ -11,7 +12,7 @@ from epos2_ros.bus.sdo_client import RemoteNode
 from epos2_ros.bus.settings import drive_settings
 from epos2_ros.config import AxisConfig, DriverConfig
 from epos2_ros.errors import ConfigurationError
-from epos2_ros.protocol import copley, epos2
+from epos2_ros.protocol import cl3e, copley, epos2
 from epos2_ros.protocol.families import FAMILIES
 
 
@@ -35,6 +36,8 @@ def check(axis: AxisConfig, config: DriverConfig) -> None:
         )
     if axis.drive == copley.FAMILY.key:
         CopleySettings.of(axis)
+    elif axis.drive == cl3e.FAMILY.key:
+        Cl3eSettings.of(axis)
     else:
         drive_settings(axis, config)
 
@@ -46,4 +49,6 @@ def node_of(network: Network, axis: AxisConfig, config: DriverConfig) -> DriveNo
             return Epos2Node(network, drive_settings(axis, config))
         case copley.FAMILY.key:
             return CopleyNode(network, CopleySettings.of(axis))
+        case cl3e.FAMILY.key:
+            return Cl3eNode(network, Cl3eSettings.of(axis))
     raise AssertionError(axis.drive)

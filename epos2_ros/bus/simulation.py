@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from epos2_ros.bus.link import open_bus
 from epos2_ros.config import DriverConfig
-from epos2_ros.protocol import copley, epos2
+from epos2_ros.protocol import cl3e, copley, epos2
 from epos2_ros.sim.epos2 import Dictionary
 from epos2_ros.sim.realtime import (
     RealtimeSimulator,
+    build_cl3e_drives,
     build_copley_drives,
     build_drives,
     save_log,
@@ -20,6 +21,7 @@ class Simulation:
     def __init__(self, config: DriverConfig) -> None:
         epos2s = [axis for axis in config.axes if axis.drive == epos2.FAMILY.key]
         copleys = [axis for axis in config.axes if axis.drive == copley.FAMILY.key]
+        cl3es = [axis for axis in config.axes if axis.drive == cl3e.FAMILY.key]
         self._log = config.simulation.log
         self._drives = build_drives(
             [axis.node_id for axis in epos2s],
@@ -31,12 +33,20 @@ class Simulation:
             record=self._log is not None,
         )
         sampled = {output.joint for output in config.outputs if output.extrapolated}
-        beside = build_copley_drives(
-            [axis.node_id for axis in copleys],
-            drift_ppm=config.simulation.drift_ppm,
-            seed=config.simulation.seed,
-            extrapolated=[axis.node_id for axis in copleys if axis.joint in sampled],
-        )
+        beside = [
+            *build_copley_drives(
+                [axis.node_id for axis in copleys],
+                drift_ppm=config.simulation.drift_ppm,
+                seed=config.simulation.seed,
+                extrapolated=[axis.node_id for axis in copleys if axis.joint in sampled],
+            ),
+            *build_cl3e_drives(
+                [axis.node_id for axis in cl3es],
+                counts_per_turn=[axis.counts_per_turn for axis in cl3es],
+                drift_ppm=config.simulation.drift_ppm,
+                seed=config.simulation.seed,
+            ),
+        ]
         self._bus = open_bus(config.interface, config.channel, config.bitrate, echoes=False)
         self._simulator = RealtimeSimulator(self._bus, [*self._drives, *beside])
         self._simulator.start()

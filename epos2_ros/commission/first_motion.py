@@ -233,7 +233,7 @@ class FirstMotion:
                     f"{self._unit}"
                 )
         for name in ("max_velocity", "max_acceleration"):
-            if axis.drive == "copley" and getattr(axis, name) is None:
+            if axis.drive != "epos2" and getattr(axis, name) is None:
                 return f"axes.{axis.joint}.{name} is not set; profile position mode needs it"
         return ""
 
@@ -261,7 +261,7 @@ class FirstMotion:
         start = self._here()
         seen = Buzz(start, start, start, None, 0.0)
         begun = time.monotonic()
-        if self._axis.drive == "copley":
+        if self._axis.drive != "epos2":
             self._move_to(start + amount, seconds, seen, amount)
             until = time.monotonic() + DWELL_S
             self._follow(seen, amount, lambda: time.monotonic() < until)

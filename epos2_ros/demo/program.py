@@ -196,7 +196,10 @@ class Machine:
     def _simulator(self) -> Child:
         epos2 = [scale for scale in self.scales if scale.drive == "epos2"]
         copley = [scale for scale in self.scales if scale.drive == "copley"]
-        counts = {self.parameters.get(f"axes.{s.joint}.counts_per_turn", 2000) for s in epos2}
+        cl3e = [scale for scale in self.scales if scale.drive == "cl3e"]
+        counts = {
+            self.parameters.get(f"axes.{s.joint}.counts_per_turn", 2000) for s in (*epos2, *cl3e)
+        }
         if len(counts) > 1:
             raise Epos2RosError("--two-processes needs the same counts_per_turn on every axis")
         arguments = {
@@ -209,6 +212,8 @@ class Machine:
         }
         if copley:
             arguments["--copley"] = ",".join(str(scale.node_id) for scale in copley)
+        if cl3e:
+            arguments["--cl3e"] = ",".join(str(scale.node_id) for scale in cl3e)
         return Child("simulator", ["--slcan", *chain(*arguments.items())], self._env)
 
     def _slcan(self, simulator: Child, terminal: Terminal) -> dict[str, str]:

@@ -10,6 +10,8 @@ from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.motion.trapezoid import Trapezoid, in_step
 from epos2_ros.motion.units import AxisUnits
 
+_MAKERS = {"copley": "Copley", "cl3e": "Nanotec"}
+
 
 def target_of(message: Trajectory) -> tuple[dict[str, float], float]:
     """Where a message for `~/move_to` sends its joints [unit], and in what time [s] (0: as fast as
@@ -49,8 +51,8 @@ def refuse_trajectory(axes: Sequence[AxisConfig], joints: Sequence[str]) -> None
     for axis in axes:
         if axis.joint in joints:
             raise TrajectoryError(
-                f"joint '{axis.joint}' can't follow a trajectory: its Copley drive moves in "
-                "profile position mode, by ~/move_to",
+                f"joint '{axis.joint}' can't follow a trajectory: its {_MAKERS[axis.drive]} drive "
+                "moves in profile position mode, by ~/move_to",
                 TrajectoryError.INVALID_JOINTS,
             )
 

@@ -105,7 +105,7 @@ def _plan(trajectory: Trajectory, name: str, arguments: argparse.Namespace) -> N
 
 def _moves(trajectory: Trajectory, config: DriverConfig) -> bool:
     """Whether it is a message for `~/move_to`."""
-    beside = {axis.joint for axis in config.axes if axis.drive == "copley"}
+    beside = {axis.joint for axis in config.axes if axis.drive != "epos2"}
     return len(trajectory.times_s) == 1 and set(trajectory.joint_names) <= beside
 
 

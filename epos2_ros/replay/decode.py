@@ -114,8 +114,8 @@ class Decoder:
         self._settings: dict[tuple[int, bool, int], _PdoSetting] = {}
         self._pdos: dict[int, list[_PdoSetting]] = {}  # by COB-ID
         for axis in config.axes if config else ():
-            family = FAMILIES["copley"]
-            if config and axis.drive != "copley":
+            family = FAMILIES[axis.drive]
+            if config and axis.drive == "epos2":
                 family = family_of(drive_settings(axis, config))
             self._default(axis.node_id, False, family.rpdos)
             self._default(axis.node_id, True, family.tpdos)

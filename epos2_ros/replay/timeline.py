@@ -101,7 +101,7 @@ class Timeline:
         self._trajectory = ""
         self._nodes: dict[int, _Node] = {}
         for axis in config.axes if config else ():
-            self._node(axis.node_id).mode = 1 if axis.drive == "copley" else 7
+            self._node(axis.node_id).mode = 7 if axis.drive == "epos2" else 1
         self._unknown: dict[tuple[str, int], int] = {}
         self._joints = {axis.node_id: axis.joint for axis in config.axes} if config else {}
         self._group = [a.node_id for a in config.axes] if config else []

@@ -122,6 +122,7 @@ class Cl3e(Slave):
 
     node_id:    1 … 127
     position:   where the axis stands at power-on [counts]
+    counts_per_turn: encoder increments (0x608F) somebody has stored in it
     lag_ms:     time constant with which the axis follows the demand in closed loop; 0: none
     firmware:   which edition
     drift_ppm:  of its clock against true time
@@ -132,6 +133,7 @@ class Cl3e(Slave):
         node_id: int,
         *,
         position: int = 0,
+        counts_per_turn: int = 2000,
         lag_ms: float = 0.4,
         firmware: Firmware = Firmware.V1446,
         drift_ppm: float = 0.0,
@@ -163,6 +165,7 @@ class Cl3e(Slave):
         self.outbox.appendleft((HEARTBEAT + node_id, bytes(1)))  # the boot loader's
         self.rate = 1.0 + drift_ppm * 1e-6
         self._build_objects()
+        self.dictionary[0x608F, 1].preset(counts_per_turn)
         self._reset_application()
 
     # --- observation and faults ---------------------------------------------------------

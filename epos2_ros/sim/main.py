@@ -20,6 +20,7 @@ from epos2_ros.receive_buffer import deepen
 from .epos2 import Dictionary
 from .realtime import (
     RealtimeSimulator,
+    build_cl3e_drives,
     build_copley_drives,
     build_drives,
     now_us,
@@ -83,6 +84,9 @@ def _arguments(argv: list[str]) -> argparse.Namespace:
     parser.add_argument(
         "--copley", type=node_list, default=[], metavar="NODES", help="node ids of Copley drives"
     )
+    parser.add_argument(
+        "--cl3e", type=node_list, default=[], metavar="NODES", help="node ids of Nanotec CL3-E"
+    )
     parser.add_argument("--bitrate", type=int, choices=BITRATES, default=1_000_000)
     parser.add_argument(
         "--counts-per-turn", type=_positive, default=2000, help="of the encoders [qc]"
@@ -126,6 +130,8 @@ def _arguments(argv: list[str]) -> argparse.Namespace:
         parser.error("--channel is needed (or --slcan)")
     if twice := set(arguments.nodes) & set(arguments.copley):
         parser.error(f"--copley {min(twice)}: an EPOS2 drive has this node id (--nodes)")
+    if twice := {*arguments.nodes, *arguments.copley} & set(arguments.cl3e):
+        parser.error(f"--cl3e {min(twice)}: another drive has this node id (--nodes, --copley)")
     if arguments.log is not None and arguments.log.suffix != ".npz":
         parser.error(f"--log {arguments.log}: must end in .npz")
     if arguments.log is not None and not os.access(arguments.log.parent, os.W_OK):
@@ -167,7 +173,7 @@ def _open_log(arguments: argparse.Namespace) -> LogWriter | None:
 
 
 def _described(arguments: argparse.Namespace) -> str:
-    families = {"EPOS2": arguments.nodes, "Copley": arguments.copley}
+    families = {"EPOS2": arguments.nodes, "Copley": arguments.copley, "CL3-E": arguments.cl3e}
     return " and ".join(
         f"{family} drives, nodes {', '.join(map(str, nodes))}"
         for family, nodes in families.items()
@@ -211,8 +217,13 @@ def main(argv: list[str] | None = None) -> int:
         dictionary=arguments.dictionary,
     )
     copley = build_copley_drives(arguments.copley, drift_ppm=arguments.drift_ppm)
+    cl3e = build_cl3e_drives(
+        arguments.cl3e,
+        counts_per_turn=arguments.counts_per_turn,
+        drift_ppm=arguments.drift_ppm,
+    )
     observed = {} if log is None else {"on_frame": log.frame}
-    simulator = RealtimeSimulator(bus, [*drives, *copley], **observed)
+    simulator = RealtimeSimulator(bus, [*drives, *copley, *cl3e], **observed)
     simulator.start()
     where = f"{arguments.interface} {arguments.channel}"
     if isinstance(bus, SlcanAdapter):

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import can
 
+from .cl3e import Cl3e
 from .copley import Copley
 from .epos2 import Dictionary, Epos2
 from .recorder import save
@@ -100,6 +101,29 @@ def build_copley_drives(
             t_us=now_us(),
         )
         for node_id in node_ids
+    ]
+
+
+def build_cl3e_drives(
+    node_ids: Sequence[int],
+    *,
+    counts_per_turn: int | Sequence[int] = 2000,
+    drift_ppm: float = 0.0,
+    seed: int = 0,
+) -> list[Cl3e]:
+    """Likewise; what the drives' encoders count is stored in them."""
+    rng = random.Random(f"cl3e {seed}")
+    if isinstance(counts_per_turn, int):
+        counts_per_turn = [counts_per_turn] * len(node_ids)
+    return [
+        Cl3e(
+            node_id,
+            counts_per_turn=counts,
+            drift_ppm=rng.uniform(-drift_ppm, drift_ppm),
+            serial=node_id,
+            t_us=now_us(),
+        )
+        for node_id, counts in zip(node_ids, counts_per_turn, strict=True)
     ]
 
 

@@ -62,7 +62,7 @@ class Profile(Mode):
         return tuple(self.moves)
 
     def begin(self) -> None:
-        self.moves, self._refused = dict(self._planned), ""
+        self.moves, self._refused, self._confirmed_us = dict(self._planned), "", math.inf
         for drive, move in self.moves.items():
             reads = () if drive.family.rest_operation == self.operation else _SHARED
             drive.borrow(setpoint(drive, move), reads, self._out, self._written)
@@ -91,6 +91,8 @@ class Profile(Mode):
             self._out.frames.append(drive.controlword(cia402.ENABLE_OPERATION))
 
     def advance(self, path_ms: float, now_us: float) -> str:
+        if self._confirmed_us == math.inf:
+            return ""  # whether all of them start is watched first
         moving = self._moving()
         longest_s = max((self.moves[drive].duration_s for drive in moving), default=math.inf)
         if path_ms > 1000 * longest_s + ARRIVAL_MARGIN_MS:

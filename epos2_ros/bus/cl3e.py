@@ -1,0 +1,172 @@
+"""What is a Nanotec CL3-E's own in bring-up: units, presets that have to go, its mode of motion."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+
+from epos2_ros.bus.cia402_node import PDO_INVALID, RECEIVE, TRANSMIT, Cia402Node, Direction
+from epos2_ros.bus.link import Network
+from epos2_ros.config import AxisConfig
+from epos2_ros.errors import ConfigurationError, DriveError
+from epos2_ros.motion.units import UINT32_MAX, AxisUnits, position_limits
+from epos2_ros.protocol import cl3e, epos2
+
+MODE_TIMEOUT_S = 1.0
+ACCELERATION_HEADROOM = 1.25  # of the drive's own limits over those of the configuration
+
+
+@dataclass(frozen=True)
+class Cl3eSettings:
+    """What is written to a drive, in counts, rpm and rpm/s; None leaves the drive's value."""
+
+    joint: str
+    node_id: int
+    counts_per_turn: int
+    min_position_qc: int
+    max_position_qc: int
+    max_following_error_qc: int
+    max_acceleration_rpm_s: int | None = None  # 0x60C5, 0x60C6
+    stop_deceleration_rpm_s: int | None = None  # 0x6085
+
+    @classmethod
+    def of(cls, axis: AxisConfig) -> Cl3eSettings:
+        """From the configuration in joint units."""
+        units = AxisUnits.of(axis)
+        rpm = axis.counts_per_turn / 60  # also rpm/s
+
+        def whole(parameter: str, unit: str, headroom: float = 1.0) -> int | None:
+            value = getattr(axis, parameter)
+            if value is None:
+                return None
+            most = abs(units.from_qc_s(UINT32_MAX * rpm)) / headroom
+            if value > most:
+                raise ConfigurationError(
+                    f"axes.{axis.joint}.{parameter}: {value:g} {units.unit}{unit} is more than the "
+                    f"drive can hold ({most:g} {units.unit}{unit})"
+                )
+            return max(1, math.ceil(abs(units.to_qc_s(value)) * headroom / rpm))
+
+        whole("max_velocity", "/s")
+        return cls(
+            axis.joint,
+            axis.node_id,
+            axis.counts_per_turn,
+            *position_limits(axis, margin_qc=1),
+            axis.max_following_error,
+            whole("max_acceleration", "/s²", ACCELERATION_HEADROOM),
+            whole("stop_deceleration", "/s²"),
+        )
+
+
+class Cl3eNode:
+    """SDO access to one drive."""
+
+    def __init__(self, network: Network, settings: Cl3eSettings) -> None:
+        self.settings = settings
+        self._access = Cia402Node(network, cl3e.FAMILY, settings.joint, settings.node_id)
+        self._objects = self._access.objects
+        self.node = self._access.node
+
+    def configure(self) -> int:
+        """Check identity, configure, go operational; the statusword the drive then has."""
+        return self._access.configure(self._write_objects)
+
+    def produce_sync(self, period_us: int) -> None:
+        """DriveError: no CL3-E can send SYNC (it has no 0x1006)."""
+        raise DriveError(f"{self._access} can't send SYNC: set sync.producer to host")
+
+    def _write_objects(self) -> None:
+        """It has no 0x1016: nothing here lets it watch the host."""
+        s, write = self.settings, self._objects.write
+        for direction, numbers in ((RECEIVE, cl3e.UNUSED_RPDOS), (TRANSMIT, cl3e.UNUSED_TPDOS)):
+            for number in numbers:
+                self._switch_off(direction, number)
+        self._check_units()
+        write(epos2.MODES_OF_OPERATION, cl3e.MODE_PROFILE_POSITION)
+        for index, subindex, value, parameters in (
+            (cl3e.QUICK_STOP_OPTION, 0, cl3e.STAY_IN_QUICK_STOP, ()),
+            (cl3e.FOLLOWING_ERROR_OPTION, 0, cl3e.FAULT_BY_QUICK_STOP_RAMP, ()),
+            (cl3e.FOLLOWING_ERROR_WINDOW, 0, s.max_following_error_qc, ("max_following_error",)),
+            (cl3e.END_VELOCITY, 0, 0, ()),
+            (epos2.SOFTWARE_POSITION_LIMIT, 1, s.min_position_qc, ("min_position",)),
+            (epos2.SOFTWARE_POSITION_LIMIT, 2, s.max_position_qc, ("max_position",)),
+            (epos2.MAX_ACCELERATION, 0, s.max_acceleration_rpm_s, ("max_acceleration",)),
+            (cl3e.MAX_DECELERATION, 0, s.max_acceleration_rpm_s, ("max_acceleration",)),
+            (epos2.QUICK_STOP_DECELERATION, 0, s.stop_deceleration_rpm_s, ("stop_deceleration",)),
+        ):
+            if value is not None:
+                names = " and ".join(f"axes.{s.joint}.{name}" for name in parameters)
+                write(index, value, subindex, check=f"check {names}" if names else "")
+        if s.stop_deceleration_rpm_s is not None:
+            write(cl3e.HALT_OPTION, cl3e.HALT_BY_QUICK_STOP_RAMP)
+        if self._objects.find(cl3e.POSITIONING_OPTION) is not None:
+            write(cl3e.POSITIONING_OPTION, cl3e.NO_RELEASE)
+        here = self._objects.read(epos2.POSITION_ACTUAL)
+        write(epos2.TARGET_POSITION, here)  # its preset of 4000 would be the first move's
+        self._await_mode()
+
+    def _switch_off(self, direction: Direction, number: int) -> None:
+        record, pdo = direction.record + number - 1, f"{direction.name}{number}"
+        cob_id = self._objects.read(record, 1, f"read the COB-ID of {pdo}")
+        attempt = f"switch {pdo} off, which is not used"
+        self._objects.write(record, cob_id | PDO_INVALID, 1, attempt)
+
+    def _check_units(self) -> None:
+        """rpm, rpm/s and the encoder's counts: what the drive's own objects have to say.
+
+        Older firmware has fractions (0x2061 … 0x2064), newer has 0x60A8 and 0x60A9 in their place.
+        READING: the position of older firmware is in increments of 0x608F where gear ratio and feed
+        constant are 1; that of newer firmware in tenths of a degree.
+        """
+        read = self._objects.read
+        for index in (cl3e.GEAR_RATIO, cl3e.FEED_CONSTANT):
+            name = f"{self._objects.name(index, 1)} / -02"
+            self._expect(name, (read(index, 1), read(index, 2)), (1, 1))
+        if self._objects.find(cl3e.UNIT_VELOCITY) is None:
+            for index in (cl3e.VELOCITY_UNIT, cl3e.ACCELERATION_UNIT):
+                name = f"{self._objects.name(index)} / 0x{index + 1:04X}"
+                self._expect(name, (read(index), read(index + 1)), cl3e.RPM_FRACTION)
+            index = cl3e.ENCODER_RESOLUTION
+            increments, turns = read(index, 1), read(index, 2)
+            name = f"{self._objects.name(index, 1)} / -02"
+        else:
+            for index, wanted in (
+                (cl3e.UNIT_POSITION, cl3e.TENTH_DEGREES),
+                (cl3e.UNIT_VELOCITY, cl3e.RPM),
+            ):
+                unit = read(index)
+                if unit != wanted:
+                    raise DriveError(
+                        f"{self._access} has 0x{unit:08X} in {self._objects.name(index)}; the "
+                        f"driver takes 0x{wanted:08X} only, its preset: set it and store it"
+                    )
+            increments, turns = 3600, 1
+            name = self._objects.name(cl3e.UNIT_POSITION)
+        if increments != self.settings.counts_per_turn * turns:
+            raise DriveError(
+                f"{self._access} counts {increments / max(turns, 1):g} per turn of the motor by "
+                f"{name}, not {self.settings.counts_per_turn}: set "
+                f"axes.{self.settings.joint}.counts_per_turn to what the drive has, or change the "
+                "drive's"
+            )
+
+    def _expect(self, name: str, found: tuple[int, int], wanted: tuple[int, int]) -> None:
+        """Two fractions are the same."""
+        if found[0] * wanted[1] != found[1] * wanted[0] or 0 in found:
+            raise DriveError(
+                f"{self._access} has {found[0]}/{found[1]} in {name}; the driver takes "
+                f"{wanted[0]}/{wanted[1]} only, its preset: set it and store it"
+            )
+
+    def _await_mode(self) -> None:
+        """A set-point before 0x6061 has followed is ignored silently."""
+        until = time.monotonic() + MODE_TIMEOUT_S
+        while (mode := self._objects.read(epos2.MODES_OF_OPERATION_DISPLAY)) != (
+            cl3e.MODE_PROFILE_POSITION
+        ):
+            if time.monotonic() > until:
+                raise DriveError(
+                    f"{self._access} stays in mode {mode}, not profile position mode (1)"
+                )

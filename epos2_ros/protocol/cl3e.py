@@ -1,0 +1,93 @@
+"""A Nanotec CL3-E as the host sees it: its objects, its PDOs, its units of motion.
+
+Device control and profile position mode are those of Nanotec, "CL3-E CANopen/USB Technical Manual",
+chapter "Profile Position", and CiA 402.
+
+| PDO   | COB-ID | transmission      | objects                                      |
+|-------|--------|-------------------|----------------------------------------------|
+| RPDO2 | 300+id | synchronous (1)   | controlword: takes effect at the next SYNC   |
+| RPDO4 | 500+id | asynchronous (255)| controlword: takes effect at once            |
+| TPDO1 | 180+id | event             | statusword                                   |
+| TPDO2 | 280+id | synchronous (1)   | position actual, velocity actual             |
+| TPDO3 | 380+id | synchronous (1)   | statusword, position demand                  |
+
+The numbers are those of the EPOS2's PDOs with the same content. RPDO1, RPDO3 and TPDO4 are valid
+as the drive leaves the factory and are switched off: RPDO1 has the motor drive submode (0x3202)
+mapped, where a frame of zeros selects open loop.
+"""
+
+from __future__ import annotations
+
+from epos2_ros.motion.units import AxisUnits
+from epos2_ros.protocol import epos2
+from epos2_ros.protocol.copley import TPDO_MAPPINGS
+from epos2_ros.protocol.family import Family, Field
+from epos2_ros.protocol.pdo import ASYNCHRONOUS, SYNCHRONOUS, PdoMapping
+
+VENDOR_ID = 0x0000026C
+MODE_PROFILE_POSITION = 1
+
+# Objects that are Nanotec's own, or that the other families do not have.
+SOFTWARE_VERSION = 0x100A
+VELOCITY_UNIT = 0x2061  # numerator, 0x2062 denominator: turns per second
+ACCELERATION_UNIT = 0x2063  # 0x2064: turns per second²
+FOLLOWING_ERROR_OPTION = 0x3700
+QUICK_STOP_OPTION = 0x605A
+HALT_OPTION = 0x605D
+FOLLOWING_ERROR_WINDOW = 0x6065
+END_VELOCITY = 0x6082
+ENCODER_RESOLUTION = 0x608F  # -01 increments per -02 turns
+GEAR_RATIO = 0x6091
+FEED_CONSTANT = 0x6092
+UNIT_POSITION = 0x60A8
+UNIT_VELOCITY = 0x60A9
+MAX_DECELERATION = 0x60C6
+POSITIONING_OPTION = 0x60F2
+
+UNUSED_RPDOS, UNUSED_TPDOS = (1, 3), (4,)
+TENTH_DEGREES, RPM = 0xFF41_0000, 0x00B4_4700  # in 0x60A8 and 0x60A9, their presets
+RPM_FRACTION = (1, 60)  # in 0x2061 … 0x2064, their presets
+STAY_IN_QUICK_STOP = 6  # brakes by 0x6085
+HALT_BY_QUICK_STOP_RAMP = 2
+FAULT_BY_QUICK_STOP_RAMP = 2
+NO_RELEASE = 0x0001  # bit 4 is the host's; relative moves count from the demand
+
+
+def motion_units(units: AxisUnits) -> tuple[float, float]:
+    """rpm and rpm/s of the motor: what the drive's units are preset to, and have to be."""
+    return units.counts_per_turn / 60, units.counts_per_turn / 60
+
+
+FAMILY = Family(
+    key="cl3e",
+    name="a Nanotec CL3-E",
+    maker="Nanotec",
+    vendor_id=VENDOR_ID,
+    eds="cl3e.eds",
+    rpdos=(
+        PdoMapping(2, epos2.RPDO2, SYNCHRONOUS, ((epos2.CONTROLWORD, 0),)),
+        PdoMapping(4, epos2.RPDO4, ASYNCHRONOUS, ((epos2.CONTROLWORD, 0),)),
+    ),
+    tpdos=TPDO_MAPPINGS,
+    fields={
+        (epos2.STATUSWORD, 0): Field("H", "statusword"),
+        (epos2.POSITION_ACTUAL, 0): Field("i", "position_qc"),
+        (epos2.VELOCITY_ACTUAL, 0): Field("i", "velocity"),
+        (epos2.POSITION_DEMAND, 0): Field("i", "demand_qc"),
+    },
+    emergencies={
+        0x1000: "generic error",
+        0x2300: "current at the output",
+        0x3100: "supply voltage",
+        0x4200: "temperature",
+        0x6100: "internal software error",
+        0x8130: "life guard or heartbeat error: the host was not heard",
+        0x8210: "PDO not processed: wrong length",
+        0x8611: "following error",
+    },  # CiA 301, 7.2.7.1, and CiA 402
+    rest_operation=MODE_PROFILE_POSITION,
+    motion_units=motion_units,
+    home_objects=lambda position_qc, back_off_qc: (),
+    homing_methods={},  # not offered yet
+    has_clock=False,
+)
