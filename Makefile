@@ -10,10 +10,11 @@ SOURCES := $(shell find epos2_ros config examples launch resource scripts -type 
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 export ROS_DOMAIN_ID ?= 42
 
-.PHONY: help demo test bench lint clean
+.PHONY: help demo test campaign bench lint clean
 help:
 	@echo "make demo   six simulated axes run a trajectory: ARGS=examples/raster_scan.yaml"
 	@echo "make test   all tests: ARGS='-k eds'"
+	@echo "make campaign  random scenarios with troubles, in simulated time: N=1000, ARGS='--seed 7'"
 	@echo "make bench  the tables of docs/motion.md: ARGS='frames speed'"
 	@echo "make lint   ruff and mypy"
 	@echo "make clean  remove what make and Python left here, .venv included"
@@ -22,7 +23,10 @@ demo: $(VENV)/.package
 	$(VENV)/bin/python -m epos2_ros demo $(ARGS)
 
 test: $(VENV)/.package $(VENV)/.tools $(VENV)/.control_msgs
-	$(VENV)/bin/python test/run.py $(ARGS)
+	$(VENV)/bin/python -m pytest $(ARGS)
+
+campaign: $(VENV)/.package $(VENV)/.tools
+	PYTHONPATH=. $(VENV)/bin/python test/campaign.py --count $(or $(N),1000) $(ARGS)
 
 bench: $(VENV)/.package $(VENV)/.bench
 	$(VENV)/bin/python -m benchmarks $(ARGS)

@@ -47,7 +47,6 @@ setup(
             "mypy",
             "pytest",
             "pytest-timeout",
-            "pytest-xdist",
             *PLANNERS,
             "ruff",
             "setuptools>=70.1",  # builds wheels by itself

@@ -48,6 +48,8 @@ class Bench:
     `bus`: that of an earlier host, with the drives on it.
     """
 
+    sdo_patience_s = 0.01  # by the clock of canopen: what is silent in simulated time stays silent
+
     def __init__(
         self,
         config: DriverConfig | None = None,
@@ -108,7 +110,7 @@ class Bench:
     def bring_up_drive(self, index: int) -> None:
         """Of one drive, also again."""
         node = self.nodes[index]
-        node.node.sdo.RESPONSE_TIMEOUT = 0.01  # a drive that is silent here stays silent
+        node.node.sdo.RESPONSE_TIMEOUT = self.sdo_patience_s
         self.group.reconfigured(self.machine.drives[index], node.configure(), self.now_us)
 
     def wait(self, answer: Future[None], seconds: float = 60.0) -> None:
@@ -212,10 +214,6 @@ class Bench:
             self.on_event(event)
         self.events.extend(out.events)
         out.events.clear()
-
-    def _push(self, frame: Frame) -> None:
-        self.intake.sending(frame)
-        self.transmitter.push(frame)
 
     def _push(self, frame: Frame) -> None:
         self.intake.sending(frame)

@@ -1,0 +1,967 @@
+"""Random scenarios over the whole driver below ROS, with troubles: does it keep what it promises?
+
+`make campaign N=1000` runs so many, each from a seed of its own, in simulated time: motion layer,
+protocol, bring-up and bus are the real ones, the drives those with their makers' dictionaries. A
+scenario that breaks a promise is made smaller as long as it breaks the same one, and printed with
+its seed; `--seed` runs one again, and all is the same.
+
+What is asked of every run, at every instant of it (`Watch`) and at its end (`play`), is judged by
+what the simulated axes do and by the records that the driver handed over, never by what it says.
+"""
+
+from __future__ import annotations
+
+import argparse
+import heapq
+import itertools
+import logging
+import math
+import random
+import sys
+import time
+from bisect import bisect_left
+from collections import Counter, deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import cache
+from types import SimpleNamespace
+from typing import Any
+from unittest import mock
+
+import numpy as np
+from simulated_time import Bench
+
+from epos2_ros.bus import cia402_node, sdo_access, sdo_client
+from epos2_ros.config import AxisConfig, DriverConfig, HomingConfig
+from epos2_ros.errors import Epos2RosError
+from epos2_ros.motion.trajectory import Trajectory
+from epos2_ros.protocol.clock import time_of_day
+from epos2_ros.protocol.frame import Frame
+from epos2_ros.protocol.group import BEGUN, Phase
+from epos2_ros.sim.copley import Copley
+from epos2_ros.sim.epos2 import Epos2
+
+QC_PER_RAD = 2000 * 100 / (2 * math.pi)
+MAX_VELOCITY, MAX_ACCELERATION = 3.0, 12.0
+UNIT_QC_S = 2000 / 60  # of velocities in records: 1 rpm
+
+# What the configuration implies [s]
+RAMP_S = 0.35  # from the greatest velocity, at 10,000 rpm/s, and the lag of the motor
+SILENCE_S = 0.5  # until a silent drive, or a host, is noticed
+ANSWER_S = 60.0  # within which every request is answered; bring-up of a silent drive included
+SAMPLE_US = 4_000.0
+SWAP_US = 20_000.0  # as long a frame waits for one that overtakes it
+REST_QC = 6.0  # within HISTORY samples: it stands
+HISTORY = 6
+ENABLED_S = 1.6  # after "enable" axes are ready to move
+KNOWN = (Phase.DISABLED, Phase.STANDING, Phase.FAULT)
+
+
+class Broken(Exception):
+    """A promise that was not kept: `promise` is which, the same for all scenarios."""
+
+    def __init__(self, promise: str, text: str) -> None:
+        super().__init__(f"{promise}: {text}")
+        self.promise = promise
+
+
+# ---------------------------------------------------------------------------- scenarios
+
+
+@dataclass(frozen=True)
+class Axis:
+    family: str
+    drift_ppm: float
+    homing: str
+
+
+@dataclass(frozen=True)
+class Action:
+    """A request, `after_s` the one before it; `reach` [rad] and `lasts_s` where it is a motion."""
+
+    name: str
+    after_s: float
+    reach: float = 0.0
+    lasts_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class Trouble:
+    """`at_s` after action number `after` (-1: after bring-up begins).
+
+    What it needs of: the axis, frames (their function code) and how many of them, a time.
+    """
+
+    name: str
+    after: int
+    at_s: float
+    axis: int
+    frames: int = 0
+    count: int = 1
+    lasts_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class Scenario:
+    axes: tuple[Axis, ...]
+    actions: tuple[Action, ...]
+    troubles: tuple[Trouble, ...]
+    buffer_time: float = 0.5
+    sync_period: float = 0.1
+    bitrate: int = 1_000_000
+    seed: int = 0
+
+
+ACTIONS = (
+    *("enable", "enable", "move", "move", "move", "move", "move_later", "replace", "stream"),
+    *("stop", "halt", "quick_stop", "disable", "reset_fault", "reset_fault", "move_to", "home"),
+)
+TO_DRIVE = {  # function codes of what the host sends, by what may happen to it
+    "lose": (0x200, 0x200, 0x300, 0x400, 0x500, 0x080, 0x600, 0x700, 0x000),
+    "double": (0x200, 0x300, 0x400, 0x500, 0x080, 0x600),
+    "delay": (0x200, 0x300, 0x400, 0x500, 0x080, 0x600),
+    "swap": (0x200, 0x400, 0x500),
+    "alter": (0x200, 0x200, 0x300, 0x400, 0x500),
+}
+TO_HOST = {
+    "lose": (0x080, 0x180, 0x280, 0x380, 0x480, 0x580, 0x700),
+    "double": (0x180, 0x280, 0x380, 0x480, 0x580, 0x700),
+    "delay": (0x180, 0x280, 0x380, 0x480, 0x580, 0x700),
+    "swap": (0x180, 0x380, 0x480, 0x580),
+    "alter": (0x180, 0x280, 0x380, 0x480),
+}
+EMERGENCIES = (0x2310, 0x3210, 0x4210, 0x7320, 0x8611)
+
+
+def scenario_of(seed: int) -> Scenario:
+    """The same one for the same seed, in any process."""
+    chance = random.Random(seed)
+    axes = tuple(
+        Axis(
+            chance.choice(("epos2", "epos2", "epos2", "copley")),
+            chance.uniform(-200, 200),
+            chance.choice(("", "here", "index_positive")),
+        )
+        for _ in range(chance.choice((1, 2, 2, 3)))
+    )
+    actions = [Action("enable", chance.choice((0.0, 0.3)))] if chance.random() < 0.9 else []
+    for _ in range(chance.randint(1, 6)):
+        name = chance.choice(ACTIONS)
+        after_s = chance.choice((0.0, 0.001, 0.02, chance.uniform(0, 1.6), chance.uniform(0, 1.6)))
+        if actions and actions[-1].name == "enable" and chance.random() < 0.8:
+            after_s += ENABLED_S
+        reach = chance.uniform(-0.3, 0.3)
+        actions.append(Action(name, after_s, reach, chance.uniform(0.5, 1.6)))
+    count = chance.choice((0, 1, 1, 1, 2, 2, 3))
+    troubles = [_trouble(chance, len(axes), len(actions)) for _ in range(count)]
+    return Scenario(
+        axes,
+        tuple(actions),
+        tuple(troubles),
+        buffer_time=chance.choice((0.2, 0.3, 0.5, 0.5, 0.8)),
+        sync_period=chance.choice((0.05, 0.1, 0.1, 0.1, 0.2)),
+        bitrate=chance.choice((500_000, 1_000_000, 1_000_000)),
+        seed=seed,
+    )
+
+
+def _trouble(chance: random.Random, axes: int, actions: int) -> Trouble:
+    name = chance.choice(
+        (
+            *(f"{kind} to drive" for kind in TO_DRIVE),
+            *(f"{kind} to host" for kind in TO_HOST),
+            *("abort", "no SDO", "emergency", "emergency", "silent", "silent", "power", "stall"),
+            *("stall", "clock", "foreign", "length"),
+        )
+    )
+    kind, _, to = name.partition(" to ")
+    table = {"drive": TO_DRIVE, "host": TO_HOST}.get(to)
+    return Trouble(
+        name,
+        chance.randint(-1, actions - 1),
+        chance.choice((0.0, chance.uniform(0, 0.01), chance.uniform(0, 0.3), chance.uniform(0, 2))),
+        chance.randrange(axes),
+        chance.choice(table[kind]) if table else 0,
+        chance.choice((1, 1, 1, 2, 5)),
+        chance.choice((0.02, 0.1, 0.3, 0.5, 1.0, 3.0, 1e9 if name in ("silent", "power") else 0.2)),
+    )
+
+
+# ---------------------------------------------------------------------------- what happens
+
+
+class Director:
+    """Sits on the bus as a drive would: troubles at their instants, and foreign frames."""
+
+    node_id = -1
+
+    def __init__(self) -> None:
+        self.outbox: deque[tuple[int, bytes]] = deque()
+        self._agenda: list[tuple[float, int, Callable[[float], object]]] = []
+        self._number = itertools.count()
+
+    @property
+    def next_event_us(self) -> float:
+        return self._agenda[0][0] if self._agenda else math.inf
+
+    def at(self, t_us: float, what: Callable[[float], object]) -> None:
+        heapq.heappush(self._agenda, (t_us, next(self._number), what))
+
+    def advance(self, t_us: float) -> None:
+        while self._agenda and self._agenda[0][0] <= t_us:
+            due_us, _, what = heapq.heappop(self._agenda)
+            what(max(due_us, t_us))
+
+    def receive(self, can_id: int, data: bytes, t_us: float, remote: bool = False) -> bool:
+        return False
+
+    def transmitted(self, can_id: int, t_us: float) -> None:
+        pass
+
+
+@dataclass
+class Meddling:
+    """Something that happens to the next `left` frames of a kind."""
+
+    kind: str
+    can_ids: frozenset[int]
+    left: int
+    delay_us: float
+    held: Any = None
+
+
+class Meddler:
+    """On the way to one receiver: loses, doubles, delays, swaps and alters frames."""
+
+    def __init__(self, deliver: Callable[..., Any], stage: Stage, node_id: int) -> None:
+        self.work: list[Meddling] = []
+        self._deliver, self._stage, self._node_id = deliver, stage, node_id
+
+    def __call__(self, can_id: int, data: bytes, *rest: Any) -> Any:
+        for meddling in self.work:
+            if can_id not in meddling.can_ids:
+                continue
+            if meddling.held is not None:
+                held, meddling.held = meddling.held, None
+                done = self._deliver(can_id, data, *rest)
+                return self._deliver(*held) or done
+            if not meddling.left:
+                continue
+            meddling.left -= 1
+            self._stage.meddled(self._node_id, can_id)
+            match meddling.kind:
+                case "lose":
+                    return False
+                case "double":
+                    self._deliver(can_id, data, *rest)
+                case "delay":
+                    again = (can_id, data, *rest)
+                    self._stage.later(meddling.delay_us, lambda _, f=again: self._deliver(*f))
+                    return False
+                case "swap":
+                    meddling.held = held = can_id, data, *rest
+                    self._stage.later(SWAP_US, lambda _, m=meddling, f=held: self._release(m, f))
+                    return False
+                case "abort":
+                    data = b"\x80" + data[1:4] + (0x0800_0000).to_bytes(4, "little")
+                case "alter" if data:
+                    place = self._stage.chance.randrange(8 * len(data))
+                    whole = int.from_bytes(data, "little") ^ 1 << place
+                    data = whole.to_bytes(len(data), "little")
+            break
+        return self._deliver(can_id, data, *rest)
+
+
+    def _release(self, meddling: Meddling, frame: Any) -> None:
+        """Nothing has come that it could be swapped with."""
+        if meddling.held is frame:
+            meddling.held = None
+            self._deliver(*frame)
+
+
+class Stage(Bench):
+    """A bench with a host that may sleep, wires that may be bad, and somebody who watches."""
+
+    sdo_patience_s = 1e-6  # all that comes has come when canopen looks
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.scenario = scenario
+        self.chance = random.Random(scenario.seed)
+        self.director = Director()
+        self.wakes_us = -math.inf  # until when the host is busy elsewhere
+        self.woke_us = -math.inf
+        self.meddled_us: dict[int, float] = {}  # when a frame of or to a node was meddled with last
+        # By whose clock is one to say that the only one is off?
+        self.alone = sum(axis.family == "epos2" for axis in scenario.axes) == 1
+        self._unheard: list[tuple[int, bytes, float, bool]] = []
+        self._sleeping = False
+        config = DriverConfig(
+            axes=tuple(_axis(n, axis) for n, axis in enumerate(scenario.axes, 1)),
+            buffer_time=scenario.buffer_time,
+            sync_period=scenario.sync_period,
+            bitrate=scenario.bitrate,
+        )
+        drives = [_drive(n, axis, scenario) for n, axis in enumerate(scenario.axes, 1)]
+        with mock.patch.object(cia402_node, "object_dictionary", _dictionary_of):
+            super().__init__(config, drives, bring_up=False)
+        self.bus.add(self.director)  # type: ignore[arg-type]
+        self.wires = []  # to each drive
+        for drive in self.drives:
+            wire = Meddler(drive.receive, self, drive.node_id)
+            drive.receive = wire  # type: ignore[method-assign]
+            self.wires.append(wire)
+        self.host_wire = Meddler(self._heard, self, 0)
+        self.watch = Watch(self)
+        self.asked: list[tuple[str, Future[Any]]] = []
+        self.refused: list[str] = []
+        self.took_twice = ""  # why the way back did not work at once
+
+    # ------------------------------------------------------------------ a host that sleeps
+
+    def _on_frame(self, can_id: int, data: bytes, t_us: float, echo: bool) -> bool:
+        return bool(self.host_wire(can_id, data, t_us, echo))
+
+    def _heard(self, can_id: int, data: bytes, t_us: float, echo: bool) -> bool:
+        if self.now_us >= self.wakes_us and not self._sleeping:
+            return super()._on_frame(can_id, data, t_us, echo)
+        self._unheard.append((can_id, data, t_us, echo))
+        return False
+
+    def _step(self) -> None:
+        self._sleep()
+        super()._step()
+
+    def _hear(self) -> None:
+        self._sleep()
+
+    def _sleep(self) -> None:
+        """What is due comes first, then all that has come meanwhile."""
+        if self.now_us >= self.wakes_us and not self._unheard:
+            return
+        self._sleeping = True
+        while self.now_us < self.wakes_us:
+            self.bus.run_until(self.wakes_us, self._on_frame)
+        self._sleeping = False
+        self.woke_us = self.now_us
+        super()._step()
+        unheard, self._unheard = self._unheard, []
+        for frame in unheard:
+            super()._on_frame(*frame)
+
+    # ------------------------------------------------------------------ the driver's way
+
+    def _push(self, frame: Frame) -> None:
+        self.watch.handed_over(frame)
+        super()._push(frame)
+
+    def _on_answer(self, data: bytes) -> None:
+        """As canopen's client here: only an answer to what was asked counts."""
+        if self._left:
+            what = self._left[0]
+            of = what.index.to_bytes(2, "little") + bytes([what.subindex])
+            if data[1:4] == of:
+                super()._on_answer(data)
+
+    def reset_fault(self) -> Future[None]:
+        """As `Driver.reset_fault`."""
+        lost = self.lost() if self.group.time.running else list(range(len(self.nodes)))
+        for index in lost:
+            self.bring_up_drive(index)
+        if lost:
+            self.group.start_clock(self.now_us, time_of_day(1_700_000_000))
+            self._flush()
+        return self.group.reset_fault()
+
+    # ------------------------------------------------------------------ troubles
+
+    def later(self, delay_us: float, what: Callable[[float], object]) -> None:
+        self.director.at(self.now_us + delay_us, what)
+
+    def meddled(self, node_id: int, can_id: int) -> None:
+        harmless = {0x200} if self.alone else {0x200, 0x400}  # it excuses nothing
+        if can_id & 0x780 not in harmless:
+            self.meddled_us[node_id or can_id & 0x7F] = self.now_us
+
+    def trouble(self, trouble: Trouble) -> Callable[[float], object]:
+        def begin(t_us: float) -> None:
+            drive, lasts_us = self.drives[trouble.axis], trouble.lasts_s * 1e6
+            node = drive.node_id
+            kind, _, to = trouble.name.partition(" to ")
+            if to == "drive":
+                everyone = trouble.frames in (0x080, 0x000)
+                ids = frozenset({0x77F} if trouble.frames == 0x700 else {
+                    trouble.frames + (0 if everyone else node)
+                })
+                work = Meddling(kind, ids, trouble.count, trouble.lasts_s * 1e5 % 50_000)
+                self.wires[trouble.axis].work.append(work)
+                return
+            if to == "host" or trouble.name == "abort":
+                ids = frozenset({(trouble.frames or 0x580) + node})
+                work = Meddling(kind, ids, trouble.count, trouble.lasts_s * 1e5 % 150_000)
+                self.host_wire.work.append(work)
+                return
+            match trouble.name:
+                case "no SDO":
+                    work = Meddling("lose", frozenset({0x580 + node}), 10**9, 0)
+                    self.host_wire.work.append(work)
+                    self.later(lasts_us, lambda _: setattr(work, "left", 0))
+                case "emergency":
+                    if drive.powered and isinstance(drive, Epos2):
+                        drive.fail(self.chance.choice(EMERGENCIES), t_us)
+                case "silent":
+                    drive.disconnect()
+                    self.later(lasts_us, lambda _: drive.reconnect())
+                case "power":
+                    drive.power_off()
+                    self.later(lasts_us, lambda t_us: drive.powered or drive.power_on(t_us))
+                case "stall":
+                    self.wakes_us = t_us + min(lasts_us, 3e6)
+                case "clock":
+                    if isinstance(drive, Epos2):
+                        self.meddled(node if self.alone else -1, 0)
+                        jump_us = self.chance.choice((-1, 1)) * 10 ** self.chance.uniform(2, 5)
+                        drive._shift_path(jump_us)
+                        drive.clock._offset_us += jump_us
+                case "foreign":
+                    self._burst(range(0x001, 0x800), 200)
+                case "length":
+                    own = [f + node for f in (0x080, 0x180, 0x280, 0x380, 0x480, 0x580, 0x700)]
+                    self._burst(own, 20, exact=False)
+            self.bus._look_at(trouble.axis)
+
+        return begin
+
+    def _burst(self, ids: Any, count: int, exact: bool = True) -> None:
+        """Frames of no node of ours, or of ours but with a length that they can't have."""
+        ours = {0, 0x7F, *(drive.node_id for drive in self.drives)}
+        while count:
+            can_id, size = self.chance.choice(ids), self.chance.randrange(9)
+            if exact and can_id & 0x7F in ours:
+                continue
+            if not exact:
+                size = self.chance.choice((0, 1, 3, 5, 7) if can_id & 0x780 != 0x700 else (0, 2, 8))
+                if self.drives and size == self.intake._pdo_bytes.get(can_id):
+                    continue
+            self.director.outbox.append((can_id, self.chance.randbytes(size)))
+            count -= 1
+
+    def heal(self) -> None:
+        """No more troubles; every drive has power and hears the others."""
+        for wire in (*self.wires, self.host_wire):
+            wire.work.clear()
+        self.director._agenda.clear()
+        self.director.outbox.clear()
+        self.watch.go_on()
+        for drive in self.drives:
+            drive.reconnect()
+            if not drive.powered:
+                drive.power_on(self.now_us)
+
+
+_dictionary_of = cache(cia402_node.object_dictionary)  # reading an EDS takes a while
+
+
+def _axis(node_id: int, axis: Axis) -> AxisConfig:
+    homing = None
+    if axis.homing and axis.family == "epos2":
+        homing = HomingConfig(axis.homing, (0.2, 0.05), acceleration=2.0, max_travel=2.0)
+    return AxisConfig(
+        f"joint_{node_id}", node_id, axis.family, gear_ratio=100.0, homing=homing,
+        max_velocity=MAX_VELOCITY, max_acceleration=MAX_ACCELERATION,
+        stop_deceleration=MAX_VELOCITY / 0.3,
+    )  # fmt: skip
+
+
+def _drive(node_id: int, axis: Axis, scenario: Scenario) -> Any:
+    if axis.family == "copley":
+        return Copley(node_id, drift_ppm=axis.drift_ppm)
+    return Epos2(
+        node_id, drift_ppm=axis.drift_ppm, offset_us=1e6 * node_id, bitrate=scenario.bitrate
+    )
+
+
+# ---------------------------------------------------------------------------- what is promised
+
+
+class Commanded:
+    """The path of one axis by the records that were handed over, cubic between them."""
+
+    def __init__(self, start_qc: float) -> None:
+        self.knots = [(start_qc, 0.0)]
+        self.ends_ms = [0]
+
+    def add(self, data: bytes) -> None:
+        """A record as maxon's note has it: position i32, velocity i24, time u8."""
+        time_ms = data[7]
+        if time_ms:
+            position = int.from_bytes(data[:4], "little", signed=True)
+            velocity = int.from_bytes(data[4:7], "little", signed=True) * UNIT_QC_S
+            self.knots.append((position, velocity))
+            self.ends_ms.append(self.ends_ms[-1] + time_ms)
+
+    def at(self, k_ms: float) -> float:
+        if k_ms <= 0:
+            return self.knots[0][0]
+        n = bisect_left(self.ends_ms, k_ms)
+        if n == len(self.ends_ms):
+            return self.knots[-1][0]
+        (p0, v0), (p1, v1) = self.knots[n - 1], self.knots[n]
+        h = (self.ends_ms[n] - self.ends_ms[n - 1]) * 1e-3
+        u = (k_ms - self.ends_ms[n - 1]) * 1e-3 / h
+        return (
+            (1 + 2 * u) * (1 - u) ** 2 * p0
+            + u * (1 - u) ** 2 * h * v0
+            + u * u * (3 - 2 * u) * p1
+            + u * u * (u - 1) * h * v1
+        )
+
+
+class Watch:
+    """Looks at every axis every SAMPLE_US."""
+
+    def __init__(self, stage: Stage) -> None:
+        self._stage = stage
+        count = len(stage.drives)
+        self.commanded: list[Commanded | None] = [None] * count
+        self._shafts: list[deque[float]] = [deque(maxlen=HISTORY) for _ in range(count)]
+        self._off_us: list[float] = [math.inf] * count  # since when it is off its path
+        self._bad_us: list[float] = [math.inf] * count  # since when it is in trouble
+        self._good_us: list[float] = [-math.inf] * count  # since when it can be talked to again
+        self._moving_allowed_us = -math.inf  # when the group was last in motion or stopping
+        enter = stage.group._enter
+
+        def entered(phase: Phase) -> None:
+            if phase is Phase.SWITCHING:
+                self.commanded = [None] * count
+                self._off_us = [math.inf] * count
+            enter(phase)
+
+        stage.group._enter = entered  # type: ignore[method-assign]
+        self.go_on()
+
+    def go_on(self) -> None:
+        self._stage.director.at(self._stage.now_us, self._look)
+
+    def handed_over(self, frame: Frame) -> None:
+        """A frame of the host."""
+        if frame.can_id & 0x780 == 0x200:
+            place = (frame.can_id & 0x7F) - 1
+            commanded = self.commanded[place]
+            if commanded is None:
+                commanded = Commanded(self._stage.drives[place]._demand)
+                self.commanded[place] = commanded
+            commanded.add(frame.data)
+
+    def _look(self, t_us: float) -> None:
+        stage = self._stage
+        stage.director.at(t_us + SAMPLE_US, self._look)
+        phase = stage.group.phase
+        if phase in BEGUN or phase in (Phase.HALTING, Phase.QUICK_STOPPING):
+            self._moving_allowed_us = t_us
+        moving = [self._moves(place) for place in range(len(stage.drives))]
+        for place, drive in enumerate(stage.drives):
+            reachable = drive.powered and drive.connected
+            if not reachable:
+                self._good_us[place] = t_us
+            bad = not reachable or drive.state.name.startswith("FAULT")
+            self._bad_us[place] = min(self._bad_us[place], t_us) if bad else math.inf
+            if moving[place]:
+                self._commands(place, t_us)
+        if phase in BEGUN and stage.machine.interpolated in stage.group.modes:
+            self._on_path(t_us)
+        self._one_for_all(moving, t_us)
+
+    def _moves(self, place: int) -> bool:
+        drive, shafts = self._stage.drives[place], self._shafts[place]
+        shafts.append(drive._shaft if isinstance(drive, Copley) else drive._motor.position)
+        return len(shafts) == HISTORY and abs(shafts[-1] - shafts[0]) > REST_QC
+
+    def _excuse_s(self, place: int) -> float:
+        """Frames of this axis were meddled with: what is lost is made good some SYNCs later."""
+        node = self._stage.drives[place].node_id
+        since_us = self._stage.now_us - self._stage.meddled_us.get(node, -math.inf)
+        return 3.0 if since_us < 4e6 else 0.0
+
+    def _commands(self, place: int, t_us: float) -> None:
+        """It moves: was it told to?"""
+        stage = self._stage
+        allowed_us = max(self._moving_allowed_us, self._good_us[place])
+        grace_s = 0.06 + self._excuse_s(place)
+        if stage.group.phase is Phase.FAULT:
+            grace_s += SILENCE_S + RAMP_S
+        if t_us - allowed_us > grace_s * 1e6:
+            raise Broken("no motion without a command", f"joint_{place + 1} {self._when(t_us)}")
+
+    def _on_path(self, t_us: float) -> None:
+        stage = self._stage
+        start_us = stage.machine.path_time.start_us
+        if start_us is None or t_us < start_us:
+            return
+        k_ms = math.floor((t_us - start_us) / 1000)
+        for place, drive in enumerate(stage.drives):
+            path = self.commanded[place]
+            enabled = drive.powered and drive.connected and drive.state.name == "OPERATION_ENABLED"
+            if path is None or not enabled:
+                self._off_us[place] = math.inf
+                continue
+            near = [path.at(k) for k in range(k_ms - 3, k_ms + 4)]
+            if min(near) - 2.5 <= drive._demand <= max(near) + 2.5:
+                self._off_us[place] = math.inf
+                continue
+            off_us = self._off_us[place] = min(self._off_us[place], t_us)
+            since_us = max(off_us, stage.woke_us, stage.wakes_us, self._good_us[place])
+            bound_s = 2 * stage.config.sync_period + 0.03 + self._excuse_s(place)
+            if t_us - since_us > bound_s * 1e6:
+                text = f"joint_{place + 1} at {drive._demand:.0f} qc, not {path.at(k_ms):.0f}"
+                raise Broken("on the path or stopping", f"{text} {self._when(t_us)}")
+
+    def _one_for_all(self, moving: list[bool], t_us: float) -> None:
+        stage = self._stage
+        for bad, since_us in enumerate(self._bad_us):
+            if since_us == math.inf or not any(moving):
+                continue
+            since_us = max(since_us, stage.woke_us, stage.wakes_us)
+            for other in range(len(moving)):
+                bound_s = SILENCE_S + RAMP_S + 0.3
+                bound_s += max(self._excuse_s(bad), self._excuse_s(other))
+                reached_us = max(since_us, self._good_us[other])
+                if other != bad and moving[other] and t_us - reached_us > bound_s * 1e6:
+                    text = f"joint_{other + 1} moves, joint_{bad + 1} is in trouble"
+                    raise Broken("one for all", f"{text} {self._when(t_us)}")
+
+    def _when(self, t_us: float) -> str:
+        return f"at {t_us / 1e6:.3f} s, {self._stage.group.describe_phase()}"
+
+
+# ---------------------------------------------------------------------------- a run
+
+
+def _move(stage: Stage, action: Action, stamp_s: float | None = None, reach: float | None = None):
+    """As a user would: from where the axes say that they stand, or on from where they move."""
+    machine, here = stage.machine, []
+    drives = machine.interpolated.drives
+    for drive in drives:
+        here.append((drive.standing_qc or 0) / QC_PER_RAD)
+    to = [at + (action.reach if reach is None else reach) for at in here]
+    points, times = np.array([here, to]), np.array([0.0, action.lasts_s])
+    if stage.group.moving:
+        points, times = points[1:], times[1:]
+    still = np.zeros_like(points)
+    joints = tuple(drive.joint for drive in drives)
+    stamp_us = None if stamp_s is None else stage.now_us + stamp_s * 1e6
+    stage.path.submit(Trajectory(joints, times, points, still, still), stamp_us, stage.now_us)
+    return stage.group.motion
+
+
+def _stream(stage: Stage, action: Action) -> Future[Any] | None:
+    drives = stage.machine.interpolated.drives
+    here = [(drive.standing_qc or 0) / QC_PER_RAD for drive in drives]
+    joints = tuple(drive.joint for drive in drives)
+    for n in range(1, 25):
+        point = np.array([[at + action.reach * n / 25 for at in here]])
+        stage.path.submit(Trajectory(joints, np.array([0.12]), point), None, stage.now_us)
+        stage.run(0.03)
+    return stage.group.motion
+
+
+def _move_to(stage: Stage, action: Action) -> Future[Any]:
+    drives = stage.machine.drives
+    targets = {d.joint: (d.standing_qc or 0) / QC_PER_RAD + action.reach for d in drives}
+    return stage.machine.move_to(targets, action.lasts_s)
+
+
+def _home(stage: Stage, action: Action) -> Future[Any] | None:
+    orders = stage.machine.homing_orders()
+    if not orders:
+        return None
+    return stage.machine.home([stage.machine.drives.index(drive) for drive in orders[0]])
+
+
+REQUESTS: dict[str, Callable[[Stage, Action], Future[Any] | None]] = {
+    "enable": lambda stage, _: stage.group.enable(),
+    "disable": lambda stage, _: stage.path.disable(),
+    "halt": lambda stage, _: stage.group.halt(),
+    "quick_stop": lambda stage, _: stage.group.quick_stop(),
+    "stop": lambda stage, _: stage.path.stop(),
+    "reset_fault": lambda stage, _: stage.reset_fault(),
+    "move": _move,
+    "move_later": lambda stage, action: _move(stage, action, 0.4),
+    "replace": lambda stage, action: _move(stage, action, reach=-action.reach / 2),
+    "stream": _stream,
+    "move_to": _move_to,
+    "home": _home,
+}
+
+
+def _said(stage: Stage, what: str, error: Epos2RosError) -> None:
+    text = str(error)
+    if not text.strip() or "\n" in text:
+        raise Broken("every refusal has a reason", f"{what}: {text!r}")
+    stage.refused.append(f"{what}: {text}")
+
+
+def _bring_up(stage: Stage) -> bool:
+    try:
+        stage.bring_up()
+    except Epos2RosError as error:
+        _said(stage, "bring-up", error)
+        return False
+    return True
+
+
+def _do(stage: Stage, number: int, action: Action) -> None:
+    stage.run(action.after_s)
+    _let_loose(stage, number)
+    try:
+        answer = REQUESTS[action.name](stage, action)
+    except Epos2RosError as error:
+        _said(stage, action.name, error)
+        return
+    if answer is not None:
+        stage.asked.append((action.name, answer))
+
+
+def _let_loose(stage: Stage, number: int) -> None:
+    for trouble in stage.scenario.troubles:
+        if trouble.after == number:
+            stage.later(trouble.at_s * 1e6, stage.trouble(trouble))
+
+
+def _settle(stage: Stage) -> None:
+    """Until nothing is left to be answered; then what it says has to be what is."""
+    group, since_us = stage.group, stage.now_us
+
+    def over() -> bool:
+        answered = all(answer.done() for _, answer in stage.asked)
+        rests = group.phase in KNOWN and group.motion is None
+        return answered and rests and stage.now_us > since_us + 1e6
+
+    stage.run(ANSWER_S, over)
+    for name, answer in stage.asked:
+        if not answer.done():
+            raise Broken("every request is answered", f"{name} is not: {group.describe_phase()}")
+        if error := answer.exception():
+            if not isinstance(error, Epos2RosError):
+                raise Broken("no exception", repr(error)) from error
+            _said(stage, name, error)
+    if not over():
+        raise Broken("a known state at the end", group.describe_phase())
+    if group.phase is Phase.FAULT and (not group.reason.strip() or "\n" in group.reason):
+        raise Broken("every fault has a reason", repr(group.reason))
+
+
+def _no_fault(stage: Stage) -> None:
+    """Where nothing has happened."""
+    for event in stage.events:
+        if event.kind == "fault":
+            raise Broken("no fault without a cause", event.text)
+
+
+def _agree(stage: Stage) -> None:
+    """With nothing in the way, the drives are in the state that the group is said to be in."""
+    phase = stage.group.phase
+    for place, drive in enumerate(stage.drives):
+        state = drive.state.name
+        wrong = phase is Phase.STANDING and state != "OPERATION_ENABLED"
+        if wrong or (phase is Phase.DISABLED and state == "OPERATION_ENABLED"):
+            text = f"joint_{place + 1} is in {state}, the group {stage.group.describe_phase()}"
+            raise Broken("what is said is what is", text)
+
+
+def _expect(stage: Stage, what: str, answer: Future[Any] | None, seconds: float = 20.0) -> None:
+    """Of the way back, which has nothing in its way any more."""
+    if answer is None:
+        return
+    stage.run(seconds, answer.done)
+    if not answer.done():
+        raise Broken("the way back", f"{what} is not answered: {stage.group.describe_phase()}")
+    if error := answer.exception():
+        raise Broken("the way back", f"{what}: {error}")
+
+
+def _way_back(stage: Stage, brought_up: bool) -> None:
+    """What a lost frame has left behind may come out with the first motion, in words; it has to be
+    gone with the second."""
+    try:
+        if not brought_up:
+            stage.bring_up()
+        _again(stage)
+    except (Broken, Epos2RosError) as error:
+        if isinstance(error, Broken) and error.promise != "the way back":
+            raise
+        stage.took_twice = f"{error}"
+        stage.run(0.5)
+        _again(stage)
+
+
+def _again(stage: Stage) -> None:
+    try:
+        _expect(stage, "reset_fault", stage.reset_fault())
+        _expect(stage, "enable", stage.group.enable())
+        if stage.machine.interpolated.drives:
+            places = [stage.machine.drives.index(d) for d in stage.machine.interpolated.drives]
+            ends = [round(stage.machine.drives[p].standing_qc + 0.05 * QC_PER_RAD) for p in places]
+            _expect(stage, "move", _move(stage, Action("move", 0, 0.05, 0.6)))
+            at = [stage.drives[p]._demand for p in places]
+            if any(abs(a - b) > 1.1 for a, b in zip(at, ends, strict=True)):
+                raise Broken("the way back", f"the axes arrived at {at}, not at {ends} qc")
+        else:
+            _expect(stage, "move_to", _move_to(stage, Action("move_to", 0, 0.05, 0.6)))
+        _agree(stage)
+        _expect(stage, "quick_stop", stage.group.quick_stop())
+        _expect(stage, "disable", stage.group.disable())
+        _agree(stage)
+    except Epos2RosError as error:
+        raise Broken("the way back", str(error)) from error
+
+
+@contextmanager
+def _simulated_clock(stage: Stage) -> Iterator[None]:
+    """Whoever looks at the clock sees that of the bus: a run does not depend on the computer."""
+    clock = SimpleNamespace(monotonic=lambda: stage.now_us / 1e6)
+    with (
+        mock.patch.object(cia402_node, "time", clock),
+        mock.patch.object(sdo_access, "time", clock),
+        mock.patch.object(sdo_client, "time", clock),
+    ):
+        yield
+
+
+def play(scenario: Scenario) -> Stage:
+    """Run it; Broken when a promise is not kept."""
+    stage = Stage(scenario)
+    with _simulated_clock(stage):
+        try:
+            _let_loose(stage, -1)
+            brought_up = _bring_up(stage) or (stage.run(0.5) or _bring_up(stage))
+            for number, action in enumerate(scenario.actions if brought_up else ()):
+                _do(stage, number, action)
+            if brought_up:
+                _settle(stage)
+            if not scenario.troubles:
+                _no_fault(stage)
+            stage.heal()
+            stage.run(1.5)
+            if brought_up:
+                _settle(stage)
+                _agree(stage)
+            _way_back(stage, brought_up)
+        except (Broken, KeyboardInterrupt):
+            raise
+        except Exception as error:
+            where = error.__traceback__
+            while where and where.tb_next:
+                where = where.tb_next
+            at = f"{where.tb_frame.f_code.co_filename}:{where.tb_lineno}" if where else ""
+            raise Broken("no exception", f"{error!r} {at}") from error
+    return stage
+
+
+def broken(scenario: Scenario) -> Broken | None:
+    try:
+        play(scenario)
+    except Broken as promise:
+        return promise
+    return None
+
+
+def smaller(scenario: Scenario) -> Iterator[Scenario]:
+    """Without one of its troubles, actions or axes."""
+    for name in ("troubles", "actions"):
+        parts = getattr(scenario, name)
+        for n in range(len(parts)):
+            left = parts[:n] + parts[n + 1 :]
+            less = replace(scenario, **{name: left})
+            if name == "actions":
+                moved = [
+                    replace(t, after=t.after - (t.after >= n)) for t in scenario.troubles
+                ]
+                less = replace(less, troubles=tuple(moved))
+            yield less
+    for n in range(len(scenario.axes) if len(scenario.axes) > 1 else 0):
+        left = [t for t in scenario.troubles if t.axis != n]
+        yield replace(
+            scenario,
+            axes=scenario.axes[:n] + scenario.axes[n + 1 :],
+            troubles=tuple(replace(t, axis=t.axis - (t.axis > n)) for t in left),
+        )
+
+
+def smallest(scenario: Scenario, promise: str) -> Scenario:
+    """As small as it gets while the same promise is broken."""
+    while True:
+        for less in smaller(scenario):
+            found = broken(less)
+            if found is not None and found.promise == promise:
+                scenario = less
+                break
+        else:
+            return scenario
+
+
+def report(seed: int, found: Broken) -> None:
+    print(f"seed {seed}: {found}", flush=True)
+    least = smallest(scenario_of(seed), found.promise)
+    print(f"  {broken(least)}\n  {least}", flush=True)
+
+
+def main() -> int:
+    """Exits with 1 if a promise was broken."""
+    parser = argparse.ArgumentParser(prog="campaign", description=__doc__)
+    parser.add_argument("--count", type=int, default=1000)
+    parser.add_argument("--first", type=int, default=0, help="first seed")
+    parser.add_argument("--seed", type=int, help="run this one alone, and tell what was said")
+    parser.add_argument("--whole", action="store_true", help="don't make failures small")
+    chosen = parser.parse_args()
+    logging.disable(logging.ERROR)  # canopen tells of each time-out
+    if chosen.seed is not None:
+        return _tell(chosen.seed, chosen.whole)
+    counts: Counter[str] = Counter()
+    twice: list[int] = []
+    begun_s = time.monotonic()
+    for seed in range(chosen.first, chosen.first + chosen.count):
+        try:
+            if play(scenario_of(seed)).took_twice:
+                twice.append(seed)
+            continue
+        except Broken as promise:
+            found = promise
+        counts[found.promise] += 1
+        if chosen.whole:
+            print(f"seed {seed}: {found}", flush=True)
+        else:
+            report(seed, found)
+    took_s = time.monotonic() - begun_s
+    print(f"{chosen.count} scenarios in {took_s:.0f} s, {counts.total()} broke a promise")
+    print(f"the way back took two attempts with seeds {twice}")
+    for promise, count in counts.most_common():
+        print(f"  {promise}: {count}")
+    return 1 if counts else 0
+
+
+def _tell(seed: int, whole: bool) -> int:
+    print(scenario_of(seed))
+    stage: list[Stage] = []
+    made = Stage.__init__
+
+    def note(self: Stage, scenario: Scenario) -> None:
+        made(self, scenario)
+        stage.append(self)
+
+    with mock.patch.object(Stage, "__init__", note):
+        found = broken(scenario_of(seed))
+    for event in stage[0].events:
+        print(f"  {event.kind}: {event.text}")
+    for line in stage[0].refused:
+        print(f"  refused {line}")
+    if stage[0].took_twice:
+        print(f"  {stage[0].took_twice}")
+    if found is not None and not whole:
+        report(seed, found)
+    return 1 if found else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
