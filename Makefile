@@ -23,7 +23,7 @@ demo: $(VENV)/.package
 	$(VENV)/bin/python -m epos2_ros demo $(ARGS)
 
 test: $(VENV)/.package $(VENV)/.tools $(VENV)/.control_msgs
-	$(VENV)/bin/python -m pytest $(ARGS)
+	$(VENV)/bin/python test/run.py $(ARGS)
 
 campaign: $(VENV)/.package $(VENV)/.tools
 	PYTHONPATH=. $(VENV)/bin/python test/campaign.py --count $(or $(N),1000) $(ARGS)

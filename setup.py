@@ -47,6 +47,7 @@ setup(
             "mypy",
             "pytest",
             "pytest-timeout",
+            "pytest-xdist",
             *PLANNERS,
             "ruff",
             "setuptools>=70.1",  # builds wheels by itself

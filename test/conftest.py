@@ -17,6 +17,20 @@ from socketcan_guest import Guest, Recorder, kernel_has_vcan, run_tool
 ROOT = Path(__file__).resolve().parent.parent
 
 
+# Their tests run in real time: what else the machine does at the same time would be measured.
+REALTIME = {
+    "action", "adapters", "check", "demo", "docs", "driver", "driver_outputs", "host_fails",
+    "moveit_example", "node", "node_outputs", "packaging", "scan", "sim_realtime", "socketcan",
+    "socketcan_driver", "supervisor", "surroundings", "timestamps", "udp_multicast",
+}  # fmt: skip
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        if item.path.stem.removeprefix("test_") in REALTIME:
+            item.add_marker(pytest.mark.realtime)
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--require-socketcan",

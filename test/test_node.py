@@ -557,6 +557,27 @@ def test_a_refused_trajectory_is_one_line(world):
     assert world.log[before:] == [("ERROR", f"trajectory refused: {reason}")]
 
 
+def test_a_flood_of_refused_trajectories_is_told_in_few_lines(world):
+    driver = world.started()
+    driver.failures["submit"] = TrajectoryError("point 3: not today")
+    point = JointTrajectoryPoint(positions=[0.0, 0.0])
+    message = JointTrajectory(joint_names=["a", "b"], points=[point])
+    publisher = world.peer.create_publisher(JointTrajectory, "/epos2_driver/joint_trajectory", 10)
+    world.wait(publisher.get_subscription_count)
+
+    def publish() -> int:
+        publisher.publish(message)
+        time.sleep(0.001)
+        return driver.calls.count("submit")
+
+    began_s = time.monotonic()
+    world.wait(lambda: publish() > 200)
+    world.wait(lambda: publish() and "were left out)" in world.stderr.read_text())
+    lines = [line for line in world.lines() if line.startswith("trajectory refused: ")]
+    assert len(lines) <= 10 * (time.monotonic() - began_s + 1)
+    assert world.trigger("halt").success  # and services are answered meanwhile
+
+
 def test_a_callback_that_raises_stops_the_axes_and_the_next_is_called(world):
     driver = world.started()
     driver.failures["submit"] = ZeroDivisionError("nobody expected this")

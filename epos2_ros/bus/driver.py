@@ -90,6 +90,8 @@ class Driver:
         self._nodes: dict[Drive, DriveNode] = {}
         self._brought_up = False  # all drives, since the link was opened
         self._identities: Mapping[str, Identity] = {}  # by joint
+        self._resetting = threading.Lock()  # held while the link is opened anew, or closed for good
+        self._closing = False
         self._doubtful = False  # something of ours has raised: what it knows may be half of it
         self._stops = 0  # how often motions were ended on request, those not yet begun included
         self._machine = machine_of(config)
@@ -194,6 +196,8 @@ class Driver:
 
     def _bring_up(self, drives: Iterable[Drive]) -> None:
         for drive in drives:
+            if self._closing:
+                raise BusError("the bus is being closed")
             self._worker.run(partial(self._bring_up_drive, drive))
         self._reactor.call(lambda: self._group.start_clock(now_us(), time_of_day(time.time())))
         self._produce_sync(round(self._config.sync_period * 1e6))
@@ -224,7 +228,15 @@ class Driver:
             self._announce(self._on_event, Event("drive", text))
 
     def close(self) -> None:
-        """Close the bus. Drives that are still enabled stop on the host's missing heartbeat."""
+        """Close the bus. Drives that are still enabled stop on the host's missing heartbeat.
+
+        Whoever waits for an answer gets one.
+        """
+        self._closing = True
+        with self._resetting:  # which ends now
+            self._close()
+
+    def _close(self) -> None:
         if self._brought_up and self._link is not None and not self._link.failed:
             self._brought_up = False
             try:
@@ -234,6 +246,7 @@ class Driver:
                 self._warn(str(error))
         self._worker.close()
         self._reactor.stop()
+        self._group.give_up("the bus is closed")  # from now on it is this thread's
         if self._log is not None:
             self._log.close()
         self._predictor.close()
@@ -382,8 +395,17 @@ class Driver:
     def reset_fault(self) -> None:
         """Reopen a bus that failed, bring restarted or lost drives up again, reset every fault.
 
-        After an internal error all begins anew. The axes stay off.
+        After an internal error all begins anew. The axes stay off. DriveError if somebody else is
+        at it.
         """
+        if not self._resetting.acquire(blocking=False):
+            raise DriveError("a fault is being reset already, or the bus closed")
+        try:
+            self._reset_fault()
+        finally:
+            self._resetting.release()
+
+    def _reset_fault(self) -> None:
         self._refuse_another_host()
         lost: Sequence[Drive] = self._reactor.call(self._group.lost)
         sound = self._link is not None and not self._link.failed and self._brought_up
@@ -459,13 +481,20 @@ class Driver:
 
     def _on_frame(self, frame: Frame, t_us: float, echo: bool) -> None:
         t_us = round(t_us, 3)  # what a log holds: run over it again, all is the same
-        if not echo and (told := self._other_host.look(frame, t_us, self._brought_up)):
-            self._another.set()
-            if self._brought_up:
-                self._group.fail(told)
+        if not echo:
+            self._look_for_another_host(frame, t_us)
         self._machine.receive(frame, t_us, echo)
         self._outputs.receive(frame, t_us, echo)
         self._flush()
+
+    def _look_for_another_host(self, frame: Frame, t_us: float) -> None:
+        if self._link is not None and self._link.failed:
+            return  # and knows its own frames no more
+        told = self._other_host.look(frame, t_us, self._brought_up)
+        if told:
+            self._another.set()
+        if told and self._brought_up:
+            self._group.fail(told)
 
     def broke(self, where: str, error: BaseException) -> None:
         """A callback of the caller's raised `error`: said, all axes stop, and are in fault."""

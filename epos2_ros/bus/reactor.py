@@ -21,6 +21,7 @@ T = TypeVar("T")
 Job = Callable[[], None]
 
 CALL_TIMEOUT_S = 10.0  # no job takes so long
+LOOK_AGAIN_S = 0.5  # whether the thread is still there
 RETRY_US = 10_000.0  # until `step` is called again when it has raised
 
 
@@ -68,15 +69,19 @@ class Reactor:
                 answer.set_exception(error)
 
         self.post(job)
-        try:
-            return answer.result(CALL_TIMEOUT_S)
-        except FutureTimeoutError as error:
-            if answer.done():  # what the function has raised
-                raise
-            raise BusError(
-                f"the driver's thread has been busy for {CALL_TIMEOUT_S:g} s: does the CAN "
-                "adapter still take frames?"
-            ) from error
+        until_s = now_us() / 1e6 + CALL_TIMEOUT_S
+        while now_us() / 1e6 < until_s:
+            try:
+                return answer.result(LOOK_AGAIN_S)
+            except FutureTimeoutError:
+                if answer.done():  # what the function has raised
+                    raise
+                if not self._thread.is_alive():
+                    raise BusError("the bus is closed") from None
+        raise BusError(
+            f"the driver's thread has been busy for {CALL_TIMEOUT_S:g} s: does the CAN adapter "
+            "still take frames?"
+        )
 
     def _end(self) -> None:
         self._stopping = True

@@ -56,6 +56,7 @@ from epos2_ros.files import DRIVER
 from epos2_ros.motion.move import target_of
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.node import messages
+from epos2_ros.node.log_lines import LogLines
 from epos2_ros.node.parameters import Parameters
 from epos2_ros.node.serialized import read_trajectory
 from epos2_ros.protocol.outbox import Event
@@ -117,6 +118,7 @@ class DriverNode(LifecycleNode):
         self._on_finalized = on_finalized
         self._driver: Driver | None = None
         self._active = False
+        self._lines = LogLines()
         self._transitions = threading.RLock()
         self._declared = Parameters(
             self, changeable=lambda: self._driver is None, set_output=self._set_output
@@ -319,7 +321,7 @@ class DriverNode(LifecycleNode):
         try:
             self._activated().submit(self._received(read_trajectory(serialized)))
         except Epos2RosError as error:
-            self.get_logger().error(f"trajectory refused: {error}")
+            self._refused(f"trajectory refused: {error}")
 
     def _received(self, trajectory: Trajectory) -> Trajectory:
         """With its stamp, which is a time of the node's clock, in that of the system.
@@ -347,14 +349,18 @@ class DriverNode(LifecycleNode):
         try:
             self._activated().move_to(*target_of(Trajectory.from_message(message)))
         except Epos2RosError as error:
-            self.get_logger().error(f"move refused: {error}")
+            self._refused(f"move refused: {error}")
 
     def _on_positions(self, output: str, message: Float64MultiArray) -> None:
         try:
             self._configured().set_positions(output, list(message.data))
             self._declared.note_positions(output, message.data)
         except Epos2RosError as error:
-            self.get_logger().error(f"positions refused: {error}")
+            self._refused(f"positions refused: {error}")
+
+    def _refused(self, line: str) -> None:
+        if (admitted := self._lines.admit("refused", line)) is not None:
+            self.get_logger().error(admitted)
 
     def _on_output(self, event: OutputEvent) -> None:
         self._output_events[event.name].publish(
@@ -409,12 +415,17 @@ class DriverNode(LifecycleNode):
         return min(readings)[1]
 
     def _on_event(self, event: Event) -> None:
+        text: str | None = event.text
+        if event.kind not in ("drive", "fault"):  # of the others a commander may cause a flood
+            text = self._lines.admit(event.kind, event.text)
+        if text is None:
+            return
         if event.kind in ("aborted", "fault"):
-            self.get_logger().error(event.text)
+            self.get_logger().error(text)
         elif event.kind == "warning":
-            self.get_logger().warning(event.text)
+            self.get_logger().warning(text)
         else:
-            self.get_logger().info(event.text)
+            self.get_logger().info(text)
 
     def _on_trace(self, line: str) -> None:
         self.get_logger().debug(line)

@@ -415,6 +415,13 @@ class Group:
         self._words.forget()
         self._settle_fault(reason)
 
+    def give_up(self, reason: str) -> None:
+        """Nobody will call `advance` any more: who waits for an answer gets this."""
+        self._fail_requests(reason)
+        request, self._disable_next = self._disable_next, None
+        if request is not None:
+            request.set_exception(DriveError(reason))
+
     # ------------------------------------------------------------------ what is known
 
     @property
