@@ -49,6 +49,7 @@ def test_a_slow_move_can_be_stopped_at_any_time(
         if not motion.ended:
             motion.replace(stop(motion.reference, motion.committed_ms, motion.limits))
         motion.feed(math.inf)
+        motion.judge()
         assert len(motion.ended) == len(axes)
         assert motion.late_ms <= LATEST_MS
 

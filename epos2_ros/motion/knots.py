@@ -127,7 +127,8 @@ _STEPS = 16  # of a grid of times, in a longest segment, on which knots are sear
 _NEAR = 2  # at positions next to the commanded one, below and above,
 _TURNS = 2  # and velocities on either side of the commanded one, at least a unit apart,
 _TURN = 0.5  # this share otherwise of a tolerance per, or what can be turned in, a longest segment
-_ASTRAY = 0.1  # records given for the last of the knots to be a tolerance nearer
+_ASTRAY = 0.1  # records given for a knot to be a tolerance, or the last one a velocity, nearer
+_JUMP = 0.5  # of a commanded acceleration times 1 ms²: how much more its jump may be off
 _LATE = 0.01  # and for the motion to end a millisecond sooner
 _ROUGHNESS_UNIT = 1e3  # (1/ms)³ per qc²: 1 record for (1000 qc/s²)²·s at a tolerance of 1 qc
 
@@ -596,24 +597,22 @@ def _careful(path: Path, plan: Vector, terms: Terms, end: int, near: int, turns:
                     p1, v1 = position[to], velocity[to]
                     if cost[to] <= so_far + 1 or abs(v1) > terms.fastest:
                         continue
-                    if v1 == 0 and p1 != rest and k + time >= end:
-                        continue  # it would stay there
                     mean = (p1 - p) * per_time
                     b, c = (3 * mean - 2 * v - v1) * per_time, (3 * mean - v - 2 * v1) * per_time
                     if 2 * abs(b) > terms.steepest or 2 * abs(c) > terms.steepest:
                         continue
                     if not keeps(path, k, p, v, time, p1, v1, terms):
                         continue
-                    total = so_far + 1 + _roughness(path, k, p, v, time, p1, v1, terms)
+                    astray = _ASTRAY * abs(p1 - path.positions[k + time]) / terms.tolerance
+                    total = so_far + 1 + astray + _roughness(path, k, p, v, time, p1, v1, terms)
                     if total < cost[to]:
                         cost[to], before[to] = total, at
     if not ended:
         for one in range(ends):
             at = times * ends + one
-            off = abs(position[at] - path.positions[k0 + times * step]) / terms.tolerance
-            astray = off + abs(one % (2 * turns + 1) - turns)
-            if cost[at] + _ASTRAY * astray < least:
-                best, least = at, cost[at] + _ASTRAY * astray
+            astray = _ASTRAY * abs(one % (2 * turns + 1) - turns)
+            if cost[at] + astray < least:
+                best, least = at, cost[at] + astray
     if best < 0:
         return False
     found, at = 0, best
@@ -711,12 +710,18 @@ def advance(
             if _knot(plan, way, int(plan[_KNOWN]), 1.0)[0] > end:  # of a rest that was not known
                 forget(plan)
         found = start < end and _complete(path, plan, terms, end)
-        half = longest
-        while not found and half > 0:  # the ways lead nowhere: go carefully, and in smaller steps
-            terms = Terms(aims[0], aims[1], aims[2], aims[3], aims[4], half, aims[6])
-            for wider in range(2):
-                found = found or _careful(path, plan, terms, last, _NEAR << wider, _TURNS << wider)
-            half //= 2
+        # Where the ways lead nowhere, go carefully, and in smaller steps. A jump of the commanded
+        # acceleration between two milliseconds may be more than can be kept within the tolerance.
+        jump = 0.0 if aims[3] == inf else max(aims[3] - aims[6], 0.0)
+        for beyond in range(2):
+            half = longest
+            tolerance = aims[1] + beyond * _JUMP * jump
+            while not found and half > 0:
+                terms = Terms(aims[0], tolerance, aims[2], aims[3], aims[4], half, aims[6])
+                for wider in range(2):
+                    near, turns = _NEAR << wider, _TURNS << wider
+                    found = found or _careful(path, plan, terms, last, near, turns)
+                half //= 2
         if found:
             _commit(path, plan, terms)
     _shift(plan, first_ms)
