@@ -89,6 +89,7 @@ class Curve:
     velocities: Array | None = None  # [points, axes] [unit/s]
     accelerations: Array | None = None  # [points, axes] [unit/s²]
     start_velocity: Array | None = None  # [axes]; of a curve through positions alone
+    arriving: Array | None = None  # as `accelerations`, up to the points, where these jump there
 
     @classmethod
     def resting(cls, position: Array) -> Curve:
@@ -119,7 +120,7 @@ class Curve:
         i: NDArray[np.intp] = self.times_s.searchsorted(t_s, side="right")
         i = np.minimum(np.maximum(i, 1), len(self.times_s) - 1) - 1  # faster than clip
         first, last = (int(np.min(i)), int(np.max(i)) + 1) if i.size else (0, 1)
-        h, ends = self._pieces(first, last)
+        h, ends = self.pieces(first, last)
         i -= first
         u = (t_s - self.times_s[first:].take(i)) / h.take(i)
         u = np.minimum(np.maximum(u, 0.0), 1.0)
@@ -137,7 +138,7 @@ class Curve:
         The pieces are `first` … `last` − 1. The curve stays between the smallest and the
         largest of a piece's control points.
         """
-        h, ((p0, p1), (v0, v1), *bends) = self._pieces(first, last)
+        h, ((p0, p1), (v0, v1), *bends) = self.pieces(first, last)
         points = np.empty((self.degree + 1, *p0.shape))
         points[0], points[-1] = p0, p1
         step = h / self.degree
@@ -149,7 +150,7 @@ class Curve:
             points[3] = 2 * points[4] - p1 + bend * a1
         return h, points
 
-    def _pieces(self, first: int, last: int) -> tuple[Array, Ends]:
+    def pieces(self, first: int, last: int) -> tuple[Array, Ends]:
         """Durations [pieces] and ends, each [axes, pieces], of the pieces first … last − 1."""
         part = slice(first, last + 1)
         if self.velocities is None:
@@ -159,9 +160,12 @@ class Curve:
         given = [self.positions[part], velocities]
         if self.accelerations is not None:
             given.append(self.accelerations[part])
-        rows = (np.ascontiguousarray(values.T) for values in given)
+        rows = [np.ascontiguousarray(values.T) for values in given]
+        ends = [(row[:, :-1], row[:, 1:]) for row in rows]
+        if self.arriving is not None:
+            ends[-1] = ends[-1][0], np.ascontiguousarray(self.arriving[part].T)[:, 1:]
         times_s = self.times_s[part]
-        return times_s[1:] - times_s[:-1], tuple((row[:, :-1], row[:, 1:]) for row in rows)
+        return times_s[1:] - times_s[:-1], tuple(ends)
 
     def _slopes(self, i: NDArray[np.intp]) -> Array:
         """Velocities at the points i of a curve through positions alone [m, axes].

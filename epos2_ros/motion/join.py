@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epos2_ros.errors import TrajectoryError
+from epos2_ros.motion.bounded import bounded
 from epos2_ros.motion.curve import Curve
-from epos2_ros.motion.limits import Limits, check
+from epos2_ros.motion.limits import MARGINS, Limits, check
 from epos2_ros.motion.reference import Reference, State
 from epos2_ros.motion.stream import Stream, is_streamed
 from epos2_ros.motion.trajectory import Trajectory
@@ -42,7 +43,9 @@ def join(
     Starting from rest, the first point may be `start_tolerance` [unit] away; a difference that
     is none in whole counts is left to the tolerance of the records.
 
-    Raises TrajectoryError; `current` is then still valid.
+    A trajectory that goes beyond limits within MARGINS, whatever curve joins its points, is
+    followed; the `remark` of the reference says where. Raises TrajectoryError; `current` is then
+    still valid.
     """
     axes = trajectory.axes(limits.joints, allow_partial)
     at_ms = max(at_ms, start_ms)
@@ -56,9 +59,10 @@ def join(
             _stream(current, trajectory.positions[0], axes, state, limits, at_ms, due_s), at_ms
         )
     curve = _placed(trajectory, axes, state, limits, at_s, start_s)
-    check(curve, limits, start_s)
+    curve = bounded(curve, limits)
+    remark = check(curve, limits, start_s, MARGINS)
     same = partial(_same, current, state, current.rests(at_ms))
-    return current.followed_by(cross(curve, state, limits, at_s, same), at_ms)
+    return current.followed_by(cross(curve, state, limits, at_s, same), at_ms, remark)
 
 
 def _placed(

@@ -266,10 +266,12 @@ def _roughness(
         a = 6 * (v0 + v1 - 2 * mean) / (time * time)
         slope = p[k1] - p[k1 - 1]
         total = (
-            path.bends[k1 - 1] - path.bends[k]
+            path.bends[k1 - 1]
+            - path.bends[k]
             - 2 * b * (slope - p[k + 1] + p[k])
             - 2 * a * (m * slope - p[k1 - 1] + p[k])
-            + m * b * b + m * time * a * (b + a * (2 * time - 1) / 6)
+            + m * b * b
+            + m * time * a * (b + a * (2 * time - 1) / 6)
         )
     else:  # ∫ of the square of the cubic with the deviations of position and velocity at both ends
         dp = (p1 - p[k1] - p0 + p[k]) / time
@@ -289,8 +291,20 @@ def _speed(p: Vector, k: int, time: int) -> float:
 
 @_inlined
 def _enter(
-    path: Path, k0: int, p0: float, v0: float, t: int, debt: float, way: int, terms: Terms,
-    expected: float, aside: float, level: float, windows: _Windows, n: int, ends: _Ends,
+    path: Path,
+    k0: int,
+    p0: float,
+    v0: float,
+    t: int,
+    debt: float,
+    way: int,
+    terms: Terms,
+    expected: float,
+    aside: float,
+    level: float,
+    windows: _Windows,
+    n: int,
+    ends: _Ends,
 ) -> bool:
     """Enter the ends at time t, before which there are n windows.
 
@@ -348,8 +362,19 @@ def _enter(
 
 @_compiled
 def _ends(
-    path: Path, k0: int, p0: float, v0: float, debt: float, way: int, terms: Terms,
-    expected: float, aside: float, shortest: int, latest: int, level: float, windows: _Windows,
+    path: Path,
+    k0: int,
+    p0: float,
+    v0: float,
+    debt: float,
+    way: int,
+    terms: Terms,
+    expected: float,
+    aside: float,
+    shortest: int,
+    latest: int,
+    level: float,
+    windows: _Windows,
     ends: _Ends,
 ) -> None:
     """Enter the ends of segments from one knot, which last from `shortest` to `latest`."""
@@ -370,8 +395,20 @@ def _ends(
         # The first of its class is searched for in what has been left out, too.
         for later in range(t, min(t + stride, latest + 1)):
             first_of_class = _enter(
-                path, k0, p0, v0, later, debt, way, terms, expected, aside, level, windows,
-                (later - 1) // step, ends,
+                path,
+                k0,
+                p0,
+                v0,
+                later,
+                debt,
+                way,
+                terms,
+                expected,
+                aside,
+                level,
+                windows,
+                (later - 1) // step,
+                ends,
             )
             if later == t and not first_of_class:
                 break
@@ -446,8 +483,20 @@ def _grow(path: Path, plan: Vector, terms: Terms, end: int) -> bool:
                 latest = min(latest, 1)
             shortest = 1 if search == 1 else max(1, int(0.6 * min(expected, latest)))
             _ends(
-                path, k0, p0, v0, before[way * _WAY + _DEBT], way, terms, expected, aside, shortest,
-                latest, level, windows, ends,
+                path,
+                k0,
+                p0,
+                v0,
+                before[way * _WAY + _DEBT],
+                way,
+                terms,
+                expected,
+                aside,
+                shortest,
+                latest,
+                level,
+                windows,
+                ends,
             )
         for c in range(_CLASSES):
             scores[c] = ends.gain[c]

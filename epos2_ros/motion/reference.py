@@ -54,6 +54,7 @@ class Reference:
     units: tuple[AxisUnits, ...]
     motions: tuple[Motion, ...]
     starts_ms: tuple[int, ...] = ()  # of motions[1:]
+    remark: str = ""  # what a user should know of the last motion
 
     @classmethod
     def at_rest(cls, units: Sequence[AxisUnits], position: Array | Sequence[float]) -> Reference:
@@ -102,13 +103,14 @@ class Reference:
         """Whether the axes stand at a millisecond, and would go on standing."""
         return self.governs(at_ms).end_s <= at_ms / 1000 + 1e-9
 
-    def followed_by(self, motion: Motion, at_ms: int) -> Reference:
+    def followed_by(self, motion: Motion, at_ms: int, remark: str = "") -> Reference:
         """This reference until `at_ms`, then `motion`."""
         keep = bisect_right(self.starts_ms, at_ms - 1)
         return Reference(
             self.units,
             (*self.motions[: keep + 1], motion),
             (*self.starts_ms[:keep], at_ms),
+            remark,
         )
 
     def trimmed(self, from_ms: int) -> Reference:

@@ -9,7 +9,7 @@ from html import escape
 from typing import TextIO
 
 from epos2_ros.bus.settings import ACCELERATION_HEADROOM, ROUNDING_S, VELOCITY_HEADROOM
-from epos2_ros.motion.limits import RELATIVE_SLACK
+from epos2_ros.motion.limits import BEYOND_POINTS, RELATIVE_SLACK
 from epos2_ros.plan import move, outputs
 from epos2_ros.plan.move import MovePlan
 from epos2_ros.plan.outputs import OutputPlans
@@ -105,7 +105,10 @@ def rows(plan: Plan) -> list[tuple[str, ...]]:
 
 def notes(plan: Plan) -> list[str]:
     """What has to be said of the table."""
-    return [BEYOND_NOTE] if any(BEYOND in cell for row in rows(plan) for cell in row) else []
+    said = [BEYOND_NOTE] if any(BEYOND in cell for row in rows(plan) for cell in row) else []
+    if plan.reference.remark:
+        said.append(f"warning: {BEYOND_POINTS}: {plan.reference.remark}")
+    return said
 
 
 def figures(plan: Plan) -> list[tuple[str, str]]:

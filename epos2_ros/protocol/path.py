@@ -24,7 +24,7 @@ from typing import Any
 from epos2_ros.config import AxisConfig, DriverConfig
 from epos2_ros.errors import TrajectoryError
 from epos2_ros.motion.join import join
-from epos2_ros.motion.limits import Limits
+from epos2_ros.motion.limits import BEYOND_POINTS, Limits
 from epos2_ros.motion.reference import Reference
 from epos2_ros.motion.stop import stop
 from epos2_ros.motion.stream import Stream, is_streamed
@@ -212,6 +212,8 @@ class PathCommander:
                 self._waiting = placement, execution
                 group.out.announce("waiting", "the trajectory waits for the axes to come to rest")
                 return True
+        if reference.remark:
+            group.out.announce("warning", f"{BEYOND_POINTS}: {reference.remark}")
         self._follow(execution, placement.start_ms)
         return True
 
