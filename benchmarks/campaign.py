@@ -227,8 +227,12 @@ class Run:
         position = executed(*way).position_qc
         off = float(np.abs(position - commanded[: len(position)])[1:].max())
         self.beyond += int(off > tolerance + SLACK_QC)
-        # The commanded acceleration of a fast axis may jump far between two milliseconds.
-        jump = (fit.max_acceleration_qc_s2 - fit.spare_acceleration_qc_s2) / 1e6
+        # Of a fast axis the commanded acceleration may jump far between two milliseconds, and the
+        # velocity where no acceleration is too much.
+        jump: float = fit.max_velocity_qc_s / 1e3
+        if fit.max_acceleration_qc_s2 < math.inf:
+            commanded = fit.max_acceleration_qc_s2 - fit.spare_acceleration_qc_s2
+            jump = min(jump, commanded / 1e6)
         if off > tolerance + (jump / 2 if jump > tolerance else 0) + SLACK_QC:
             raise Trouble(f"axis {axis} is {off:.3f} qc off, before {self.last[axis]}")
         cubics, times_ms = segments(*way)

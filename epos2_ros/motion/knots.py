@@ -128,7 +128,7 @@ _NEAR = 2  # at positions next to the commanded one, below and above,
 _TURNS = 2  # and velocities on either side of the commanded one, at least a unit apart,
 _TURN = 0.5  # this share otherwise of a tolerance per, or what can be turned in, a longest segment
 _ASTRAY = 0.1  # records given for a knot to be a tolerance, or the last one a velocity, nearer
-_JUMP = 0.5  # of a commanded acceleration times 1 ms²: how much more its jump may be off
+_JUMP = 0.5  # how much more may be off of what a jump of acceleration or velocity does within 1 ms
 _LATE = 0.01  # and for the motion to end a millisecond sooner
 _ROUGHNESS_UNIT = 1e3  # (1/ms)³ per qc²: 1 record for (1000 qc/s²)²·s at a tolerance of 1 qc
 
@@ -756,12 +756,15 @@ def advance(
     else:
         terms = Terms(aims[0], aims[1], aims[2], aims[3], aims[4], longest, aims[6])
         for way in range(int(plan[_WAYS])):
-            if _knot(plan, way, int(plan[_KNOWN]), 1.0)[0] > end:  # of a rest that was not known
+            # of a rest that was not known
+            if plan[_COMPLETE] == 0 and _knot(plan, way, int(plan[_KNOWN]), 1.0)[0] > end > start:
                 forget(plan)
-        found = start < end and _complete(path, plan, terms, end)
+        # Once the curve rests, it is gone on as was found.
+        found = _complete(path, plan, terms, end) if start < end else plan[_KNOWN] > 0
         # Where the ways lead nowhere, go carefully, and in smaller steps. A jump of the commanded
         # acceleration between two milliseconds may be more than can be kept within the tolerance.
-        jump = 0.0 if aims[3] == inf else max(aims[3] - aims[6], 0.0)
+        jump = min(aims[2], max(aims[3] - aims[6], 0.0) if aims[3] < inf else inf)
+        jump = jump if jump < inf else 0.0
         for beyond in range(2):
             half = longest
             tolerance = aims[1] + beyond * _JUMP * jump
