@@ -229,10 +229,9 @@ class Run:
         self.beyond += int(off > tolerance + SLACK_QC)
         # Of a fast axis the commanded acceleration may jump far between two milliseconds, and the
         # velocity where no acceleration is too much.
-        jump: float = fit.max_velocity_qc_s / 1e3
+        jump = fit.max_velocity_qc_s / 1e3
         if fit.max_acceleration_qc_s2 < math.inf:
-            commanded = fit.max_acceleration_qc_s2 - fit.spare_acceleration_qc_s2
-            jump = min(jump, commanded / 1e6)
+            jump = min(jump, (fit.max_acceleration_qc_s2 - fit.spare_acceleration_qc_s2) / 1e6)
         if off > tolerance + (jump / 2 if jump > tolerance else 0) + SLACK_QC:
             raise Trouble(f"axis {axis} is {off:.3f} qc off, before {self.last[axis]}")
         cubics, times_ms = segments(*way)
