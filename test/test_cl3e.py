@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import configparser
+import itertools
+import math
 from importlib import resources
 
 import canopen
@@ -10,11 +12,13 @@ import pytest
 from simulated_time import Bench
 
 from epos2_ros.bus.nodes import check
-from epos2_ros.config import AxisConfig, DriverConfig
+from epos2_ros.bus.settings import machine_of
+from epos2_ros.config import AxisConfig, DriverConfig, HomingConfig
 from epos2_ros.errors import ConfigurationError, DriveError, MotionAborted
 from epos2_ros.protocol import cl3e
 from epos2_ros.protocol.group import Phase
 from epos2_ros.sim.cl3e import Cl3e, Firmware
+from epos2_ros.sim.homing import Switches
 
 LIMITS = {"max_velocity": 1.0, "max_acceleration": 4.0}
 EDS = resources.files("epos2_ros") / "eds" / "cl3e.eds"
@@ -215,3 +219,93 @@ def test_object_lists_name_every_section_once() -> None:
         assert len(section) == len(numbers) + 1
     described = {n[:4] for n in sections.sections() if n[:4].isalnum() and n[0] in "1236"}
     assert sorted(f"{index:04X}" for index in listed) == sorted(described)
+
+
+# --- homing -------------------------------------------------------------------------------------
+
+SWITCHES = Switches(negative_limit=-9000, positive_limit=9000, home=(2000, 2600), index=150)
+QC_PER_RAD = 2000 * 100 / (2 * math.pi)
+
+
+def homing_bench(method: str, **changes: object) -> Bench:
+    homing = HomingConfig(
+        method, speeds=(0.2, 0.05), acceleration=2.0, max_travel=2.0, **changes  # type: ignore
+    )
+    made = bench(Cl3e(1, switches=SWITCHES), homing=homing)
+    made.enable()
+    return made
+
+
+@pytest.mark.parametrize(
+    ("method", "place"),
+    [
+        ("negative_limit_switch", -9000), ("positive_limit_switch_index", 8150),
+        ("home_switch_positive", 2000), ("home_switch_negative_index", 4150),
+        ("index_negative", -1850), ("here", 0),
+    ],
+)  # fmt: skip
+def test_an_axis_is_where_it_is_said_to_be_when_homed(method: str, place: int) -> None:
+    """The home is at `offset`, the axis brakes beyond it; nothing moves on from there."""
+    made = homing_bench(method, offset=0.5)
+    drive = made.drives[0]
+    made.frames.clear()
+    made.wait(made.machine.home([0]))
+    made.run(1.0)
+    assert drive.position_actual - drive._machine_zero == pytest.approx(place, abs=150)
+    home = place + drive._machine_zero  # in the axis' new coordinates
+    assert home == pytest.approx(0.5 * QC_PER_RAD, abs=1)
+    assert made.machine.drives[0].homed == method
+    assert made.group.phase is Phase.STANDING and drive._mode == 1
+    words = [
+        int.from_bytes(frame.data, "little") & 0x3400
+        for _, frame, echo in made.frames
+        if frame.can_id == 0x181 and not echo
+    ]
+    told = [key for key, _ in itertools.groupby(words)]
+    assert told[told.index(0x1000) :][:2] == [0x1000, 0x1400]  # attained, then done
+    starts = [
+        int.from_bytes(frame.data, "little")
+        for _, frame, echo in made.frames
+        if echo and frame.can_id in (0x301, 0x501)
+    ]
+    assert starts[:2] == [0x1F, 0x0F]  # bit 4 stays until it is done
+    made.wait(made.machine.move_to({"z_1": 0.1}))
+    assert drive.position_actual == round(0.1 * QC_PER_RAD)
+
+
+def test_ways_homing_fails() -> None:
+    made = homing_bench("home_switch_positive")
+    made.drives[0]._switches = Switches(negative_limit=-3000, positive_limit=3000)
+    with pytest.raises(MotionAborted, match=r"z_1 .*home_switch_positive failed at .*bit 13"):
+        made.wait(made.machine.home([0]))
+    made = homing_bench("negative_limit_switch")
+    made.drives[0]._switches = Switches()
+    with pytest.raises(MotionAborted, match=r"z_1 .*negative_limit_switch .*max_travel"):
+        made.wait(made.machine.home([0]))
+    made.run(2.0)
+    here = made.drives[0].position_actual
+    assert abs(here) < 2.2 * QC_PER_RAD
+    made.run(1.0)
+    assert made.drives[0].position_actual == here
+
+
+def test_homing_that_is_stopped_is_interrupted() -> None:
+    made = homing_bench("negative_limit_switch")
+    motion = made.machine.home([0])
+    made.run(0.6)
+    made.wait(made.group.halt(), 10.0)
+    assert isinstance(motion.exception(timeout=0), MotionAborted)
+    here = made.drives[0].position_actual
+    made.wait(made.group.enable())
+    made.run(1.0)
+    assert made.drives[0].position_actual == here
+    assert not made.machine.drives[0].homed
+
+
+def test_what_it_has_not_for_homing_is_refused() -> None:
+    for homing, words in (
+        (HomingConfig("hard_stop_negative"), "Nanotec's drives have .*home_switch"),
+        (HomingConfig("index_positive", back_off=0.1), "back_off is 0.1; Nanotec's drives do not"),
+    ):
+        with pytest.raises(ConfigurationError, match=words):
+            machine_of(DriverConfig(axes=(axis(homing=homing),)))

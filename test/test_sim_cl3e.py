@@ -15,6 +15,7 @@ from sim_host import Abort, Host
 
 from epos2_ros.sim import ramps
 from epos2_ros.sim.cl3e import Cl3e, Firmware
+from epos2_ros.sim.homing import Switches
 
 NODE = 5
 COUNTS_PER_RPM = 2000 / 60  # the presets: 2000 increments a turn, rpm, rpm/s
@@ -705,3 +706,65 @@ def test_profiles_keep_their_limits_and_meet_their_end(seed: int) -> None:
     end = profile.at(profile.duration)
     assert end.position == target
     assert abs(end.velocity) == pytest.approx(speed if kept else 0.0)
+
+
+# --- homing: statusword bits 13, 12 and 10 -------------------------------------------------------
+
+
+def homing_bits(rig: Rig, since: int) -> list[str]:
+    """Bits 13, 12 and 10 before and in the frames since then."""
+    words = rig.new(BEHIND | ACKNOWLEDGED | REACHED, since - 1)
+    return [f"{w >> 13 & 1}{w >> 12 & 1}{w >> 10 & 1}" for w in words]
+
+
+def homing_rig(**switches: float) -> Rig:
+    rig = Rig(switches=Switches(**switches))  # type: ignore[arg-type]
+    rig.host.write(0x320A, 4, 1, 4)
+    for index, subindex, value, size in (
+        (0x6098, 0, 17, 1), (0x6099, 1, 200, 4), (0x6099, 2, 20, 4), (0x609A, 0, 6000, 4),
+        (0x607C, 0, 500, 4), (0x6060, 0, 6, 1),
+    ):  # fmt: skip
+        rig.host.write(index, subindex, value, size)
+    rig.host.run(5)
+    return rig
+
+
+def test_homing_runs_attains_and_is_done_while_bit_4_stays() -> None:
+    rig = homing_rig(negative_limit=-400)
+    since = len(rig.told())
+    rig.word(ON | NEW)
+    list(rig.path(500))
+    assert homing_bits(rig, since) == ["000", "010", "011"]
+    # the switch is now at -500; braking off it goes less than ten counts on, and nothing back
+    assert -500 <= rig.drive.position_actual <= -490
+    rig.word(ON)
+    assert homing_bits(rig, since)[-1] == "011"
+
+
+def test_homing_without_bit_4_is_interrupted() -> None:
+    rig = homing_rig(negative_limit=-4000)
+    since = len(rig.told())
+    rig.word(ON | NEW)
+    list(rig.path(100))
+    rig.word(ON)
+    list(rig.path(100))
+    assert homing_bits(rig, since) == ["000", "001"]
+
+
+def test_homing_error() -> None:
+    rig = homing_rig(negative_limit=-300, positive_limit=300)
+    rig.host.write(0x6098, 0, 34, 1)
+    rig.host.write(0x6099, 2, 200, 4)
+    rig.drive._switches = Switches(positive_limit=300, index=1500)
+    since = len(rig.told())
+    rig.word(ON | NEW)
+    list(rig.path(300))
+    assert homing_bits(rig, since) == ["000", "100", "101"]
+
+
+def test_homing_in_open_loop_needs_the_encoder_s_position() -> None:
+    rig = homing_rig(negative_limit=-300)
+    rig.host.write(0x320A, 4, -1, 4)
+    rig.word(ON | NEW)
+    list(rig.path(100))
+    assert rig.status & BEHIND and rig.drive.position_actual == 0

@@ -29,6 +29,7 @@ class Cl3eSettings:
     max_following_error_qc: int
     max_acceleration_rpm_s: int | None = None  # 0x60C5, 0x60C6
     stop_deceleration_rpm_s: int | None = None  # 0x6085
+    homes: bool = False
 
     @classmethod
     def of(cls, axis: AxisConfig) -> Cl3eSettings:
@@ -57,6 +58,7 @@ class Cl3eSettings:
             axis.max_following_error,
             whole("max_acceleration", "/s²", ACCELERATION_HEADROOM),
             whole("stop_deceleration", "/s²"),
+            axis.homing is not None and bool(axis.homing.method),
         )
 
 
@@ -103,6 +105,8 @@ class Cl3eNode:
             write(cl3e.HALT_OPTION, cl3e.HALT_BY_QUICK_STOP_RAMP)
         if self._objects.find(cl3e.POSITIONING_OPTION) is not None:
             write(cl3e.POSITIONING_OPTION, cl3e.NO_RELEASE)
+        if s.homes and not self._objects.read(cl3e.SUBMODE) & 1:
+            write(cl3e.OPEN_LOOP_SOURCE, 1, 4)  # without which open loop can't be homed
         here = self._objects.read(epos2.POSITION_ACTUAL)
         write(epos2.TARGET_POSITION, here)  # its preset of 4000 would be the first move's
         self._await_mode()

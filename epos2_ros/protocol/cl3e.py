@@ -19,10 +19,11 @@ mapped, where a frame of zeros selects open loop.
 from __future__ import annotations
 
 from epos2_ros.motion.units import AxisUnits
-from epos2_ros.protocol import epos2
+from epos2_ros.protocol import epos2, homing_methods
 from epos2_ros.protocol.copley import TPDO_MAPPINGS
 from epos2_ros.protocol.family import Family, Field
 from epos2_ros.protocol.pdo import ASYNCHRONOUS, SYNCHRONOUS, PdoMapping
+from epos2_ros.protocol.sdo import SdoWrite
 
 VENDOR_ID = 0x0000026C
 MODE_PROFILE_POSITION = 1
@@ -33,6 +34,8 @@ VELOCITY_UNIT = 0x2061  # numerator, 0x2062 denominator: turns per second
 ACCELERATION_UNIT = 0x2063  # 0x2064: turns per second²
 FOLLOWING_ERROR_OPTION = 0x3700
 QUICK_STOP_OPTION = 0x605A
+SUBMODE = 0x3202  # bit 0: closed loop
+OPEN_LOOP_SOURCE = 0x320A  # -04 1: position is that of the encoder
 HALT_OPTION = 0x605D
 FOLLOWING_ERROR_WINDOW = 0x6065
 END_VELOCITY = 0x6082
@@ -56,6 +59,14 @@ NO_RELEASE = 0x0001  # bit 4 is the host's; relative moves count from the demand
 def motion_units(units: AxisUnits) -> tuple[float, float]:
     """rpm and rpm/s of the motor: what the drive's units are preset to, and have to be."""
     return units.counts_per_turn / 60, units.counts_per_turn / 60
+
+
+def home_objects(position_qc: int, back_off_qc: int) -> tuple[SdoWrite, ...]:
+    """The home is at `position_qc`; nothing moves on from there.
+
+    READING: zero is the home offset on from the home (CiA 402), so the home is at minus that.
+    """
+    return (SdoWrite.integer(epos2.HOME_OFFSET, 0, -position_qc, 4, signed=True),)
 
 
 FAMILY = Family(
@@ -87,7 +98,7 @@ FAMILY = Family(
     },  # CiA 301, 7.2.7.1, and CiA 402
     rest_operation=MODE_PROFILE_POSITION,
     motion_units=motion_units,
-    home_objects=lambda position_qc, back_off_qc: (),
-    homing_methods={},  # not offered yet
+    home_objects=home_objects,
+    homing_methods=homing_methods.STANDARD,
     has_clock=False,
 )

@@ -279,6 +279,7 @@ FAMILY = Family(
     home_objects=home_objects,
     homing_methods=homing_methods.EPOS2,
     has_clock=True,
+    backs_off=True,
     referenced_bit=REFERENCED,
     velocity_step_qc_s=VELOCITY_STEP_QC_S,
     power_up_bit=REFRESH_CYCLE,

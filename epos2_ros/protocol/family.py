@@ -41,6 +41,7 @@ class Family:
     home_objects: Callable[[int, int], tuple[SdoWrite, ...]]  # of position and back-off [qc]
     homing_methods: Mapping[int, Method]  # 0x6098
     has_clock: bool  # high resolution time stamp (0x1013): it can be kept in step with the others
+    backs_off: bool = False  # after homing, by `homing.back_off`
     referenced_bit: int = 0  # of the statusword: the axis is homed
     velocity_step_qc_s: float = 0.0  # in which it tells its velocity
     power_up_bit: int = 0  # of the statusword: "switched on", on its own way to "operation enabled"

@@ -165,6 +165,11 @@ def _search(axis: AxisConfig, drive: Drive) -> Search:
         )
     number = find(homing.method, methods, f"{at}.method", drive.family.maker)
     name, direction = methods[number]
+    if homing.back_off and not drive.family.backs_off:
+        raise ConfigurationError(
+            f"{at}.back_off is {homing.back_off:g}; {drive.family.maker}'s drives do not move away "
+            "from where their home is, so it must be 0"
+        )
     if homing.back_off and not direction:
         raise ConfigurationError(
             f"{at}.back_off is {homing.back_off:g}; by {name} nothing moves, so it must be 0"

@@ -1,12 +1,14 @@
-"""A simulated Nanotec CL3-E with its motor: profile position mode on its maker's dictionary.
+"""A simulated Nanotec CL3-E with its motor: profile position and homing mode.
 
-Sources: Nanotec, "CL3-E CANopen/USB Technical Manual", chapter "Profile Position" (in the text: the
-chapter); the maker's EDS of FIR-v1419 (`cl3e_objects`); CiA 402 for the state machine and 0x60F2,
-CiA 301 for life guarding. Internally positions are in user units (counts), time in ms.
+Its dictionary is its maker's. Sources: Nanotec, "CL3-E CANopen/USB Technical Manual", chapter
+"Profile Position" (in the text: the chapter); the maker's EDS of FIR-v1419 (`cl3e_objects`);
+CiA 402 for the state machine and 0x60F2; CiA 301 for life guarding. Homing: CiA 402, with the bits
+of the status word that Nanotec describes publicly; 0x607C moves nothing there. Internally
+positions are in user units (counts), time in ms.
 
-Not simulated, and refused: other modes than profile position (and 0, none), event timers of TPDOs,
-rotary axes (bits 6–7 of 0x60F2), other units of position and velocity in 0x60A8 and 0x60A9 than
-they are preset to.
+Not simulated, and refused: other modes than these (and 0, none), homing methods against a stop,
+event timers of TPDOs, rotary axes (bits 6–7 of 0x60F2), other units of position and velocity in
+0x60A8 and 0x60A9 than they are preset to.
 """
 
 from __future__ import annotations
@@ -29,6 +31,7 @@ from .dictionary import (
     SdoAbort,
     check_signature,
 )
+from .homing import ACTUAL_POSITION, Search, Switches, plan
 from .motor import Motor
 from .ramps import Limits
 from .slave import HEARTBEAT, HEARTBEAT_ERROR, INF, SYNC_PRODUCER, Identity, NmtState, Slave
@@ -39,7 +42,8 @@ LIFE_GUARD_ERROR = HEARTBEAT_ERROR
 CYCLE_US = 1000.0
 BOOT_MS = 300.0  # from the boot loader's boot-up to the drive's own: a guess, no document says
 MODE_MS = 2.0  # from 0x6060 to 0x6061: a guess, too
-PROFILE_POSITION = 1
+PROFILE_POSITION, HOMING = 1, 6
+HOMING_METHODS = (1, 2, 7, 11, 17, 18, 23, 27, 33, 34, 35)
 JERK_LIMITED = 3  # in 0x6086
 TENTH_DEGREES, RPM = 0xFF41_0000, 0x00B4_4700  # presets of 0x60A8 and 0x60A9
 UNLIMITED = 0xFFFF_FFFF
@@ -73,7 +77,7 @@ class Control:
     ENABLE_VOLTAGE = 1 << 1
     QUICK_STOP = 1 << 2  # low active
     ENABLE_OPERATION = 1 << 3
-    NEW_SETPOINT = 1 << 4
+    NEW_SETPOINT = HOMING_START = 1 << 4
     CHANGE_IMMEDIATELY = 1 << 5
     RELATIVE = 1 << 6
     FAULT_RESET = 1 << 7
@@ -88,7 +92,8 @@ class Status:
     REMOTE = 1 << 9
     TARGET_REACHED = 1 << 10
     SETPOINT_ACKNOWLEDGE = 1 << 12
-    FOLLOWING_ERROR = 1 << 13
+    HOMING_ATTAINED = SETPOINT_ACKNOWLEDGE
+    FOLLOWING_ERROR = HOMING_ERROR = 1 << 13
 
 
 # Relative and request-response options in 0x60F2 (CiA 402).
@@ -125,6 +130,7 @@ class Cl3e(Slave):
     counts_per_turn: encoder increments (0x608F) somebody has stored in it
     lag_ms:     time constant with which the axis follows the demand in closed loop; 0: none
     firmware:   which edition
+    switches:   of the machine, for homing
     drift_ppm:  of its clock against true time
     """
 
@@ -136,6 +142,7 @@ class Cl3e(Slave):
         counts_per_turn: int = 2000,
         lag_ms: float = 0.4,
         firmware: Firmware = Firmware.V1446,
+        switches: Switches | None = None,
         drift_ppm: float = 0.0,
         serial: int = 1,
         t_us: float = 0.0,
@@ -152,6 +159,8 @@ class Cl3e(Slave):
             software_version=firmware.value.encode(),
         )
         self._firmware = firmware
+        self._switches = switches or Switches()
+        self._machine_zero = 0.0  # where the machine's zero is since homing
         self._motor = Motor(float(position), lag_ms, 0.0, 0)
         self._demand = ramps.State(float(position), 0.0, 0.0)
         self._profile: ramps.Profile | None = None
@@ -194,6 +203,11 @@ class Cl3e(Slave):
             word |= Status.SETPOINT_ACKNOWLEDGE
         if self._mode == PROFILE_POSITION and self._following_error:
             word |= Status.FOLLOWING_ERROR
+        if self._mode == HOMING and self.state is State.OPERATION_ENABLED:
+            if self._homed:
+                word |= Status.HOMING_ATTAINED
+            if self._homing_error:
+                word |= Status.HOMING_ERROR
         return word
 
     def fail(self, code: int) -> None:
@@ -310,6 +324,7 @@ class Cl3e(Slave):
         mode.check, mode.write = _check_mode, self._on_mode
         for index, allowed in _OPTIONS.items():
             od[index, 0].check = partial(_check_one_of, allowed)
+        od[0x6098, 0].check = partial(_check_one_of, HOMING_METHODS)
         od[0x6086, 0].check = partial(_check_one_of, (0, JERK_LIMITED))
         od[0x607E, 0].check = self._check_polarity
         for index in (0x608F, 0x6091, 0x6092):
@@ -446,6 +461,8 @@ class Cl3e(Slave):
         self._active: Order | None = None  # the present set-point
         self._next: Order | None = None  # the one behind it
         self._moving = self._acknowledged = False
+        self._homing: list[Search] = []  # what is left of a homing method
+        self._homed = self._homing_error = False
         self._when_stopped: State | None = None
         self._window_since = self._behind_since = self._cycle
         self._motor.stand(round(self._motor.position))
@@ -534,12 +551,16 @@ class Cl3e(Slave):
     def _enter_mode(self) -> None:
         mode = self._value(0x6060)
         if mode != self._mode and self.state is State.OPERATION_ENABLED:
-            self._next, self._acknowledged = None, False
-            self._brake(self._value(0x6084))
+            self._next, self._acknowledged, self._moving = None, False, False
+            self._homing, self._homed, self._homing_error = [], False, False
+            if self._profile is not None:
+                self._brake(self._value(0x6084))
         self._mode = mode
         self._dirty = True
 
     def _command_profile(self, last: int, word: int) -> None:
+        if self._mode == HOMING:
+            self._command_homing(last, word)
         if self._mode != PROFILE_POSITION:
             return  # silently, also while 0x6061 has not followed yet
         rising = word & ~last
@@ -673,6 +694,63 @@ class Cl3e(Slave):
         limits = Limits(math.inf, deceleration, deceleration, jerks)
         self._follow(ramps.stop(self._demand, limits))
 
+    # --- homing mode (CiA 402) ----------------------------------------------------------
+
+    def _command_homing(self, last: int, word: int) -> None:
+        """Bit 4 has to stay while the axis searches."""
+        rising = word & ~last
+        if rising & Control.HALT or last & ~word & Control.HOMING_START:
+            if self._homing:
+                self._homing = []
+                self._brake(self._value(0x609A))
+        elif rising & Control.HOMING_START and not word & Control.HALT:
+            self._homed = self._homing_error = self._reached = False
+            method, here = self._value(0x6098), self._motor.position
+            if not self._value(0x3202) & 1 and self._value(0x320A, 4) != 1:
+                self._fail_homing()  # READING: open loop has no position to search by
+            elif method in ACTUAL_POSITION:
+                self._home_found(here)
+            else:
+                turn = round(self.counts_per_turn)
+                self._homing = plan(method, here - self._machine_zero, self._switches, turn)
+                self._begin_search()
+
+    def _begin_search(self) -> None:
+        search = self._homing[0]
+        speed = self._value(0x6099, 2 if search.slow else 1) * self._velocity_unit
+        rate = max(1, self._value(0x609A)) * self._acceleration_unit
+        limits = Limits(math.inf, rate, rate)
+        self._follow(ramps.jog(self._demand, search.direction * speed, limits))
+
+    def _search(self) -> None:
+        """Looks whether the axis has passed what it is searching."""
+        search = self._homing[0]
+        machine = self._motor.position - self._machine_zero
+        ahead = "positive_limit" if search.direction > 0 else "negative_limit"
+        if (machine - search.edge) * search.direction >= 0:
+            del self._homing[0]
+            if self._homing:
+                self._begin_search()
+            else:
+                self._home_found(search.edge + self._machine_zero)
+        elif (machine - getattr(self._switches, ahead)) * search.direction > 0:
+            self._fail_homing()  # a limit switch before what it searches
+
+    def _fail_homing(self) -> None:
+        self._homing, self._homing_error = [], True
+        self._brake(self._value(0x609A))
+
+    def _home_found(self, place: float) -> None:
+        """READING: zero is 0x607C on from `place`; the axis brakes and does not go back there."""
+        shift = -self._value(0x607C) - place
+        self._machine_zero += shift
+        self._motor.position += shift
+        self._motor.measured = round(self._motor.position)
+        self._demand = self._demand._replace(position=self._demand.position + shift)
+        self._target = None
+        self._homed = True
+        self._brake(self._value(0x609A))
+
     # --- control cycle ------------------------------------------------------------------
 
     def _follow(self, profile: ramps.Profile) -> None:
@@ -709,6 +787,8 @@ class Cl3e(Slave):
             self._motor.velocity = self._demand.velocity
         lag = abs(self._demand.position - self._motor.position)
         self._watch(lag)
+        if self._homing:
+            self._search()
         if self._profile is None and self.state in _POWERED:
             self._settle(lag)
 
@@ -773,7 +853,7 @@ def _check_no_producer(value: int) -> None:
 
 
 def _check_mode(value: int) -> None:
-    _check_one_of((0, PROFILE_POSITION), value)
+    _check_one_of((0, PROFILE_POSITION, HOMING), value)
 
 
 def _check_one_of(allowed: tuple[int, ...], value: int) -> None:

@@ -122,6 +122,15 @@ def stop(start: State, limits: Limits) -> Profile:
     return profile.finish(profile.end.position, 0.0)
 
 
+def jog(start: State, velocity: float, limits: Limits) -> Profile:
+    """Changes to this velocity, of either sign, and keeps it."""
+    profile = _settled(start, limits)
+    if profile.end.velocity * velocity < 0.0:
+        _change(profile, 0.0, limits)
+    _change(profile, velocity, limits)
+    return profile.finish(profile.end.position, velocity)
+
+
 def move(start: State, target: float, end_speed: float, limits: Limits) -> tuple[Profile, bool]:
     """To `target`, there with `end_speed` (not negative) in the direction of the move.
 
