@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import can
 import numpy as np
 import pytest
 from two_processes import SCAN, Rig, rig
 
+from epos2_ros.bus.link import Link
 from epos2_ros.errors import BusError
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.protocol.frame import Frame
+from epos2_ros.protocol.intake import Intake, Rejects
 from epos2_ros.protocol.other_host import OtherHost
 
 NAMES = {1: "x (node 1)", 2: "y (node 2)"}
@@ -107,6 +109,27 @@ def test_a_bus_with_another_host_is_refused_and_not_disturbed(channel: str) -> N
     finally:
         stranger.close()
     assert not stranger.heard
+
+
+def test_nothing_is_sent_until_the_bus_was_listened_to(channel: str) -> None:
+    lock = threading.RLock()
+
+    def post(job: Callable[[], None]) -> None:
+        with lock:
+            job()
+
+    intake = Intake({}, {}, Rejects())
+    with can.Bus(channel, "virtual") as other:
+        link = Link("virtual", channel, 1_000_000, intake, lambda *_: None, print, print, post)
+        try:
+            post(lambda: link.send(HEARTBEAT))  # of a group that goes on while the bus is reopened
+            assert other.recv(0.1) is None
+            link.probe()
+            post(lambda: link.send(HEARTBEAT))
+            heard = [other.recv(1.0), other.recv(1.0)]
+        finally:
+            link.close()
+    assert [m.arbitration_id for m in heard if m is not None] == [0x000, 0x77F]
 
 
 @pytest.mark.parametrize("frame", [HEARTBEAT, Frame(0x080), Frame(0x502, b"\x06\x00")])

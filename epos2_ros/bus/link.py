@@ -83,6 +83,7 @@ class Link:
         self._on_failure = on_failure
         self._on_other = on_other
         self._bitrate = bitrate
+        self._listening = True  # only
         self._probing = False  # and our frame has not come back yet
         self._echo_seen = threading.Event()
         self._heard_us = now_us()  # up to when the bus was listened to
@@ -108,12 +109,13 @@ class Link:
             self.close()
             raise BusError(f"{self.name} takes no frames: is the interface up, the bus wired?")
         self._transmitter.echoes = self._echo_seen.wait(PROBE_TIMEOUT_S)
+        self._listening = False
 
     # ------------------------------------------------------------------ out
 
     def send(self, frame: Frame) -> None:
-        """Queue a frame and send what may be sent."""
-        if not self.failed:
+        """Queue a frame and send what may be sent; before the probe is over, nothing is."""
+        if not self.failed and not self._listening:
             self._intake.sending(frame)
             self._transmitter.push(frame)
             self.pump()
