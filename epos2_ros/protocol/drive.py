@@ -74,17 +74,15 @@ class Drive:
         self._layouts = {
             mapping.cob_id + self.node_id: _Layout(setup.family, mapping) for mapping in setup.tpdos
         }
+        self.pdo_bytes: Mapping[int, int] = {  # by COB-ID, how long its PDOs are mapped
+            cob_id: layout.size for cob_id, layout in self._layouts.items()
+        }
         self._event_us = -math.inf  # of the last statusword that came as an event
 
     def __str__(self) -> str:
         return f"{self.joint} (node {self.node_id})"
 
     # What the drive says ---------------------------------------------------------------
-
-    @property
-    def pdo_bytes(self) -> Mapping[int, int]:
-        """By COB-ID, how long its PDOs are mapped."""
-        return {cob_id: layout.size for cob_id, layout in self._layouts.items()}
 
     def on_pdo(self, cob_id: int, data: bytes, t_us: float) -> frozenset[tuple[int, int]]:
         """A PDO of its own, of the right length; the objects it has reported.

@@ -148,6 +148,7 @@ class Group:
         self._handing_over = False  # a mode has more to give its drives
         self._handed_over_us = -math.inf  # when one last did
         self._steps: dict[Drive, _Step] = {}
+        self._places = {drive: place for place, drive in enumerate(self.drives)}
         self._by_node = {drive.node_id: drive for drive in self.drives}
         self._clocked = {drive: index for index, drive in enumerate(time.drives)}
 
@@ -206,7 +207,7 @@ class Group:
 
     def _heard(self, drive: Drive, t_us: float) -> None:
         drive.heard_us = t_us
-        self._silence.heard(self.drives.index(drive))
+        self._silence.heard(self._places[drive])
 
     def _on_clock(self, drive: Drive, t_us: float) -> None:
         index = self._clocked.get(drive)
@@ -1013,7 +1014,7 @@ class Group:
 
     def silent(self, drive: Drive) -> bool:
         """Whether a drive is not heard any more, as far as the bus was listened to."""
-        return self.time.running and self._silence.silent(self.drives.index(drive))
+        return self.time.running and self._silence.silent(self._places[drive])
 
     def _astray(self, drive: Drive) -> bool:
         return drive in self._clocked and self.time.astray(self._clocked[drive])
