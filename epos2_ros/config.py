@@ -95,3 +95,11 @@ class DriverConfig:
     log_file: str | None = None
     log_size: float = 100.0  # of all its files [MB]
     simulation: SimulationConfig = field(default_factory=SimulationConfig)
+
+    @property
+    def state_inhibit_us(self) -> int:
+        """Inhibit time of the PDO with position and velocity: one for each message.
+
+        It has 16 bits of 100 µs (CiA 301, 7.5.2.37): a slower rate gets some more frames.
+        """
+        return min(round(1e6 / self.state_rate), 100 * 0xFFFF)

@@ -139,7 +139,7 @@ def test_disabled(bench):
 
 
 def track(bench: Bench) -> Tracking:
-    return tracked(bench.machine, bench.config.axes, bench.config.state_rate, bench.now_us)
+    return tracked(bench.machine, bench.config.axes, bench.now_us)
 
 
 def test_what_is_desired_is_what_is_measured(bench):

@@ -172,7 +172,7 @@ def bench_of(buffer_time: float) -> Bench:
 
 
 def track(bench: Bench) -> Tracking:
-    return tracked(bench.machine, bench.config.axes, bench.config.state_rate, bench.now_us)
+    return tracked(bench.machine, bench.config.axes, bench.now_us)
 
 
 class Client:

@@ -325,7 +325,7 @@ class Driver:
     def track(self) -> Tracking:
         """What the axes that follow trajectories are to do, and do."""
         return self._reactor.call(
-            lambda: tracked(self._machine, self._path.axes, self._config.state_rate, now_us())
+            lambda: tracked(self._machine, self._path.axes, now_us())
         )
 
     def move_to(self, targets: Mapping[str, float], duration_s: float = 0.0) -> None:

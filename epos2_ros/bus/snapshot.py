@@ -87,7 +87,7 @@ def axis_snapshots(
     snapshots = []
     for drive, config in zip(machine.drives, machine.config.axes, strict=True):
         units, known = AxisUnits.of(config), drive.position_qc is not None
-        silent_us, inhibit_us = now_us - drive.heard_us, 1e6 / machine.config.state_rate
+        silent_us, inhibit_us = now_us - drive.heard_us, machine.config.state_inhibit_us
         snapshot = AxisSnapshot(
             joint=drive.joint,
             node_id=drive.node_id,

@@ -64,9 +64,7 @@ class Tracking:
         return max(0.0, (self.stamp_us - self.zero_us) / 1e6 - execution.start_ms / 1e3)
 
 
-def tracked(
-    machine: Machine, configs: Sequence[AxisConfig], state_rate: float, now_us: float
-) -> Tracking:
+def tracked(machine: Machine, configs: Sequence[AxisConfig], now_us: float) -> Tracking:
     """What they are doing now; `configs` are those of these axes."""
     units = [AxisUnits.of(axis) for axis in configs]
     path, feeder, drives = machine.path, machine.interpolated.feeder, machine.interpolated.drives
@@ -77,7 +75,7 @@ def tracked(
         reference = Reference.at_rest(units, here)
     else:
         known_us = zero_us + 1000 * feeder.known_from_ms
-    inhibit_us = 1e6 / state_rate
+    inhibit_us = machine.config.state_inhibit_us
     times = np.array([drive.measured_us(inhibit_us) for drive in drives])
     return Tracking(
         now_us=now_us,
