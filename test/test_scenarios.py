@@ -11,13 +11,15 @@ from dataclasses import replace
 import pytest
 from campaign import Action, Axis, Broken, Scenario, Trouble, broken, play, scenario_of, smallest
 
+from epos2_ros.bus.cia402_node import Cia402Node
 from epos2_ros.protocol import group, silence
 from epos2_ros.protocol.pvt import buffer_account, path_audit
 from epos2_ros.protocol.synchronous import SynchronousControlwords
 
-SEEDS = range(24)
+SEEDS = range(16)
 TWO = (Axis("epos2", 60.0, ""), Axis("epos2", -60.0, ""))
 MIXED = (Axis("epos2", 60.0, ""), Axis("copley", 0.0, ""))
+ENABLE = Action("enable", 0.0)
 MOVE = Action("move", 2.0, 0.6, 2.5)
 SLOWLY = Action("move", 2.0, 0.3, 1.5)  # no drive complains by itself when a record is lost
 
@@ -59,6 +61,10 @@ def no_take_back(monkeypatch):
     monkeypatch.setattr(SynchronousControlwords, "take_back", nothing)
 
 
+def no_watch_of_the_host(monkeypatch):
+    monkeypatch.setattr(Cia402Node, "watch_host", nothing)
+
+
 def no_answers(monkeypatch):
     monkeypatch.setattr(group.Group, "_grant_requests", nothing)
 
@@ -79,37 +85,46 @@ BROKEN_DRIVERS = {
     no_audit: (
         "on the path or stopping",
         Scenario(
-            TWO, (Action("enable", 0.0), SLOWLY), (Trouble("lose to drive", 1, 0.2, 1, 0x200),)
+            TWO, (ENABLE, SLOWLY), (Trouble("lose to drive", 1, 0.2, 1, 0x200),)
         ),
     ),
     no_watch_for_silence: (
         "one for all",
-        Scenario(MIXED, (Action("enable", 0.0), MOVE), (Trouble("power", 1, 0.2, 1, lasts_s=3.0),)),
+        Scenario(MIXED, (ENABLE, MOVE), (Trouble("power", 1, 0.2, 1, lasts_s=3.0),)),
     ),
     no_halt_of_the_others: (
         "one for all",
-        Scenario(MIXED, (Action("enable", 0.0), MOVE), (Trouble("power", 1, 0.2, 1, lasts_s=3.0),)),
+        Scenario(MIXED, (ENABLE, MOVE), (Trouble("power", 1, 0.2, 1, lasts_s=3.0),)),
     ),
     no_take_back: (
         "no fault without a cause",  # of the drive, which starts with an empty buffer
         Scenario(
             TWO,
-            (Action("enable", 0.0), replace(MOVE, name="move_later"), Action("stop", 0.395)),
+            (ENABLE, replace(MOVE, name="move_later"), Action("stop", 0.395)),
             (),
+        ),
+    ),
+    no_watch_of_the_host: (
+        "the host may fail",
+        Scenario(
+            MIXED,
+            (ENABLE, replace(MOVE, name="move_to", lasts_s=4.0), Action("enable", 1.0)),
+            (),
+            killed_s=1.5,
         ),
     ),
     no_answers: (
         "every request is answered",
-        Scenario(TWO, (Action("enable", 0.0), Action("disable", 2.0)), ()),
+        Scenario(TWO, (ENABLE, Action("disable", 2.0)), ()),
     ),
     no_reasons: ("every refusal has a reason", Scenario(TWO, (MOVE,), ())),
     says_off_and_is_not: (
         "what is said is what is",
-        Scenario(TWO, (Action("enable", 0.0),), ()),
+        Scenario(TWO, (ENABLE,), ()),
     ),
     forgets_to_raise: (
         "no exception",
-        Scenario(TWO, (Action("enable", 0.0), MOVE, Action("halt", 1.0)), ()),
+        Scenario(TWO, (ENABLE, MOVE, Action("halt", 1.0)), ()),
     ),
 }
 
@@ -128,7 +143,7 @@ def test_what_fails_is_made_small(monkeypatch):
     """What is left is what it takes: the move, the record, one axis."""
     scenario = Scenario(
         (*TWO, Axis("copley", 0.0, "")),
-        (Action("halt", 0.0), Action("enable", 0.0), SLOWLY),
+        (Action("halt", 0.0), ENABLE, SLOWLY),
         (Trouble("foreign", 1, 0.1, 0), Trouble("lose to drive", 2, 0.2, 1, 0x200, 1)),
     )
     no_audit(monkeypatch)
