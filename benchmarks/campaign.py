@@ -34,7 +34,7 @@ from epos2_ros.motion.stop import stop
 from epos2_ros.motion.stream import Stream
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.motion.units import AxisUnits
-from epos2_ros.protocol.pvt.feeder import MIN_RECORDS_AHEAD, STREAM_AHEAD_MS
+from epos2_ros.protocol.pvt.feeder import MIN_RECORDS_AHEAD, STREAM_SEGMENT_MS
 
 Array = NDArray[np.float64]
 Random = np.random.Generator
@@ -148,8 +148,9 @@ class Run:
         self.reference = reference
         self.ahead_ms = self.config.buffer_time * 1000
         if isinstance(reference.motions[-1], Stream):
-            self.ahead_ms = min(self.ahead_ms, STREAM_AHEAD_MS)
-        longest = max(4, self.ahead_ms // MIN_RECORDS_AHEAD)
+            self.ahead_ms = min(self.ahead_ms, self.config.stream_ahead * 1000)
+        streamed = isinstance(reference.motions[-1], Stream)
+        longest = STREAM_SEGMENT_MS if streamed else max(4, self.ahead_ms // MIN_RECORDS_AHEAD)
         self.fitter.max_segment_ms = int(min(MAX_SEGMENT_MS, longest))
 
     @property

@@ -84,6 +84,7 @@ class DriverConfig:
     sync_producer: str = "host"  # who sends SYNC: host or a joint
     clock_limits: ClockLimits = field(default_factory=ClockLimits)
     buffer_time: float = 0.5  # [s]
+    stream_ahead: float = 0.14  # as buffer_time, while points are streamed [s]
     tolerance: float = 1.0  # [qc]
     smoothness: float = 0.0  # as of motion.fit.Fitter
     start_tolerance: float = 0.01  # [rad or m]

@@ -155,6 +155,13 @@ GROUP: dict[str, Spec] = {
         0.05,
         10.0,
     ),
+    "ipm.stream_ahead": Spec(
+        0.14,
+        "motion kept ahead while points are streamed (MoveIt Servo): how late the computer may be, "
+        "and how much later the axes move [s]",
+        0.05,
+        1.0,
+    ),
     "ipm.tolerance": Spec(
         1.0, "largest deviation of the executed curve from the commanded one [qc]", 0.5, 10_000.0
     ),
@@ -328,6 +335,7 @@ class DriverParameters:
                 drift_error_ppm=values["sync.drift_error"],
             ),
             buffer_time=values["ipm.buffer_time"],
+            stream_ahead=values["ipm.stream_ahead"],
             tolerance=values["ipm.tolerance"],
             smoothness=values["ipm.smoothness"],
             start_tolerance=values["constraints.start_tolerance"],

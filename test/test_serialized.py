@@ -60,7 +60,7 @@ def outcome(read: Any, data: Any) -> Any:
 
 
 def by_rclpy(data: bytes) -> Trajectory:
-    return Trajectory.from_message(deserialize_message(data, JointTrajectory))
+    return Trajectory.from_message(deserialize_message(data, JointTrajectory), published=True)
 
 
 @settings(max_examples=50, deadline=None)

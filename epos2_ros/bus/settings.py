@@ -9,14 +9,14 @@ from epos2_ros.config import AxisConfig, DriverConfig
 from epos2_ros.motion.fit import FitAxis
 from epos2_ros.motion.units import AxisUnits, drive_limits
 from epos2_ros.protocol.machine import Machine
-from epos2_ros.protocol.pvt.feeder import MIN_RECORDS_AHEAD, STREAM_AHEAD_MS
+from epos2_ros.protocol.pvt.feeder import STREAM_SEGMENT_MS
 
 VELOCITY_HEADROOM = 1.05
 ACCELERATION_HEADROOM = 1.25
 """A drive faults at the joint's limit times this and warns halfway there: cubics between rounded
 knots overshoot a commanded curve that runs along its limit. The commanded curve itself is held
 to the limit exactly, before anything is sent."""
-ROUNDING_S = STREAM_AHEAD_MS // MIN_RECORDS_AHEAD / 1000
+ROUNDING_S = STREAM_SEGMENT_MS / 1000
 """What rounding takes comes on top. Knots are whole counts and whole velocity units, and a segment
 of a stream, the shortest there are, lasts this long at most. Within it an axis that creeps has to
 be able to go on by a count, from rest to rest (1.5 counts per this time of velocity, 6 per its

@@ -51,13 +51,18 @@ def join(
     at_ms = max(at_ms, start_ms)
     at_s, start_s = at_ms / 1000, start_ms / 1000
     state = current.state(at_ms)
-    if current.rests(at_ms) and at_ms <= start_ms and trajectory.times_s[0] <= _INSTANT_S:
+    streamed = is_streamed(trajectory)
+    comes_at_once = at_ms <= start_ms and trajectory.times_s[0] <= _INSTANT_S
+    if current.rests(at_ms) and comes_at_once and (not streamed or len(trajectory.times_s) == 1):
         _check_start(trajectory, axes, state, limits, start_tolerance)
-    if is_streamed(trajectory):
+    if streamed:
         due_s = start_s + trajectory.duration_s
+        asked_s = trajectory.duration_s if len(trajectory.times_s) == 1 else 0.0
+        point = trajectory.positions[-1]
         return current.followed_by(
-            _stream(current, trajectory.positions[0], axes, state, limits, at_ms, due_s), at_ms
+            _stream(current, point, axes, state, limits, at_ms, due_s, asked_s), at_ms
         )
+    trajectory.check_rest()
     curve = _placed(trajectory, axes, state, limits, at_s, start_s)
     curve = bounded(curve, limits)
     remark = check(curve, limits, start_s, MARGINS)
@@ -114,6 +119,7 @@ def _stream(
     limits: Limits,
     at_ms: int,
     due_s: float,
+    asked_s: float,
 ) -> Stream:
     """On to a streamed point: a further step, or a transition where that is not possible."""
     at_s = at_ms / 1000
@@ -127,10 +133,11 @@ def _stream(
     target[axes] = point
     rest = Curve.resting(target)
     check(rest, limits)
-    return (stream and stream.to(target, limits, at_s, due_s)) or Stream.after(
+    return (stream and stream.to(target, limits, at_s, due_s, asked_s)) or Stream.after(
         cross(
             rest, state, limits, at_s, partial(_same, current, state, False), max(due_s - at_s, 0.0)
-        )
+        ),
+        due_s,
     )
 
 

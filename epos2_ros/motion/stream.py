@@ -1,11 +1,15 @@
 """Streamed points: a message every few milliseconds with one point a little ahead.
 
-Nobody says where the next point will be, so the motion has to end at rest at the last
-one, and yet may not stop at each. Every point adds its distance from the one before as a
+Of a message with more points (MoveIt Servo's windows, which overlap) the last one counts, and its
+velocity does not: nobody says where the next point will be, so the motion has to end at rest at
+the last one, and yet may not stop at each. Every point adds its distance from the one before as a
 smooth step, spread over the time until it is due. Steps overlap, so their sum runs evenly
 along, like the points seen through a smoothing filter: it never overshoots a point or
 turns back unless the points do, the axes keep their proportions, and when the points end
-it comes to rest on the last.
+it comes to rest on the last. It lingers there, so that a further point needs no start.
+
+Where messages come late and in a bunch, their steps are begun one after another, a little faster
+than they were sent: the axes do not rush to where they would be.
 """
 
 from __future__ import annotations
@@ -23,15 +27,45 @@ from epos2_ros.motion.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 
-HORIZON_S = 0.25  # a single point due within this time is one of a stream
-WINDOW_S = 0.1  # steps take at least this long, to overlap when the points are near ahead
-_STRETCHES = (1.0, 1.25, 1.5, 2.0, 3.0)  # how much longer a step may take
+HORIZON_S = 0.25  # how far ahead a stream's messages end, or how long ago they may have ended
+POINT_HORIZON_S = 3.0  # a single point on the topic that is due within this time is one of a stream
+WINDOW_S = 0.1  # steps take at least this long, if that brings them to rest soon enough
+LINGER_S = 0.4  # a stream is not over before nothing has come for so long
+_SOON_S = 0.1  # the axes are to rest so long after the last point is due, at the latest
+_SHORTEST_S = 0.03
+# A step is a quintic from rest to rest. Sums of such steps run evenly where each lasts as many
+# periods of the messages: there the velocity's spectrum has its zeros (of j2(πx), x = 1.83, 2.90).
+_EVEN = (2.895, 1.834)
+_STRETCHES = tuple(1.2**n for n in range(11))  # how much longer a step may take
+_STEADY = 8  # so many of these keep the operator's pace, too
+_CATCH_UP = 1.25  # so much faster than the operator the axes catch up after a host was late
+_PACE = 1.1 * _CATCH_UP  # and so much in a moment, steps being not quite even
+_BEHIND_S = 0.2  # and no more behind than this
+_KEPT_S = 0.4  # of the points that came, for the operator's pace
+_INSTANTS = 100  # of the shortest step at which limits are looked at
 _STEP = ((np.zeros(1), np.ones(1)), (np.zeros(1),) * 2, (np.zeros(1),) * 2)
 
 
 def is_streamed(trajectory: Trajectory) -> bool:
-    """One point, due in a moment: a controller follows its operator (MoveIt Servo)."""
-    return len(trajectory.times_s) == 1 and trajectory.duration_s <= HORIZON_S
+    """Whether others are to be expected that go on from it: a controller follows its operator.
+
+    READING: no field of a message says so. A single point due in a moment is one of a stream. So
+    are, on the topic, where nobody waits for a result: single points due within POINT_HORIZON_S
+    (rqt, joysticks), and windows no longer than HORIZON_S whose last point moves or which say
+    when they begin (MoveIt Servo's, whose last point rests when the operator lets go). All else is
+    a plan; that of an action's goal always has an end.
+    """
+    count = len(trajectory.times_s)
+    if count == 0:
+        return False
+    if count == 1:
+        within_s = POINT_HORIZON_S if trajectory.published else HORIZON_S
+        return trajectory.duration_s <= within_s
+    return (
+        trajectory.published
+        and trajectory.duration_s - float(trajectory.times_s[0]) <= HORIZON_S
+        and (trajectory.stamp_s is not None or not trajectory.rests)
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,16 +77,22 @@ class Stream:
     starts_s: Array  # [steps]
     durations_s: Array  # [steps]
     steps: Array  # [steps, axes]
+    dues_s: Array  # [points], of the last ones that came
+    points: Array  # [points, axes]
 
     @classmethod
-    def after(cls, base: Motion) -> Stream:
-        """No steps yet: where `base` goes."""
+    def after(cls, base: Motion, due_s: float | None = None) -> Stream:
+        """No steps yet: where `base` goes, which was due at `due_s`."""
         target = base.evaluate(np.array([base.end_s]))[0]
-        return cls(base, target, np.zeros(0), np.zeros(0), np.zeros((0, len(target))))
+        none = np.zeros((0, len(target)))
+        if due_s is None:
+            return cls(base, target, np.zeros(0), np.zeros(0), none, np.zeros(0), none)
+        return cls(base, target, np.zeros(0), np.zeros(0), none, np.array([due_s]), target[None, :])
 
     @property
     def end_s(self) -> float:
-        return float(np.max(self.starts_s + self.durations_s, initial=self.base.end_s))
+        """It lingers at rest, so that a further point needs no start."""
+        return LINGER_S + float(np.max(self.starts_s + self.durations_s, initial=self.base.end_s))
 
     def evaluate(self, t_s: Array, derivative: int = 0) -> Array:
         """Position or its 1st or 2nd derivative at path times t_s [m] → [m, axes]."""
@@ -62,16 +102,18 @@ class Stream:
             value += self.target - self.steps.sum(axis=0) - self._base_end
         return value
 
-    def to(self, target: Array, limits: Limits, at_s: float, due_s: float) -> Stream | None:
-        """The same until `at_s`, then on to `target` [axes], which is due at `due_s`.
+    def to(
+        self, target: Array, limits: Limits, at_s: float, due_s: float, asked_s: float
+    ) -> Stream | None:
+        """The same until `at_s`, then on to `target` [axes], which is due at `due_s`; its message
+        gave it `asked_s` for that.
 
-        Takes longer if the acceleration limits need it; None if that is not enough. Raises
-        TrajectoryError when the step from the last point asks for more than the velocity
-        limit.
+        Takes longer where the limits need it, or the operator's own pace; None if that is not
+        enough. Raises TrajectoryError when the point asks for more than the velocity limit.
         """
-        shortest_s = max(due_s - at_s, WINDOW_S)
         step = target - self.target
-        speed = np.abs(step) / shortest_s
+        since_s = due_s - self.dues_s[-1] if len(self.dues_s) else 0.0
+        speed = np.abs(step) / max(asked_s, since_s, WINDOW_S)
         if (speed > limits.velocity * (1 + RELATIVE_SLACK)).any():
             joint = int(np.argmax(speed / limits.velocity))
             unit = limits.units[joint]
@@ -79,28 +121,70 @@ class Stream:
                 f"joint '{limits.joints[joint]}': velocity {speed[joint]:.6g} {unit}/s needed to "
                 f"reach point 0, allowed {limits.velocity[joint]:.6g} {unit}/s"
             )
-        running = self._running(at_s)
-        # The drives evaluate nothing between the milliseconds.
-        t_s = at_s + np.arange(round(shortest_s * _STRETCHES[-1] * 1000)) / 1000
-        velocity, acceleration = (running.evaluate(t_s, order) for order in (1, 2))
+        running = self._running(at_s, due_s, target)
+        if len(self.starts_s):  # of messages in a bunch, one after another
+            least_s = float(self.starts_s[-1]) + running.period_s / _CATCH_UP
+            at_s = max(at_s, min(least_s, at_s + _BEHIND_S))
+        shortest_s = running._duration_s(at_s, due_s)
         most_v, most_a = limits.velocity * PLANNED_SHARE, limits.acceleration * PLANNED_SHARE
-        for stretch in _STRETCHES:
+        pace = np.minimum(_PACE * running.pace, most_v) if len(self.dues_s) else most_v
+        # The drives evaluate nothing between the milliseconds.
+        grain_ms = max(1, round(1000 / _INSTANTS * min([shortest_s, *running.durations_s])))
+        span_ms = 1000 * shortest_s * _STRETCHES[-1]
+        t_s = at_s + np.arange(0, span_ms, grain_ms) / 1000
+        velocity, acceleration = (running.evaluate(t_s, order) for order in (1, 2))
+
+        def keeps(stretch: float, fastest: Array) -> bool:
             start_s, duration_s = np.array([at_s]), np.array([shortest_s * stretch])
             added_v, added_a = (_shares(t_s, start_s, duration_s, i) * step for i in (1, 2))
-            if np.all(np.abs(velocity + added_v) <= most_v) and np.all(
-                np.abs(acceleration + added_a) <= most_a
-            ):
+            return bool(
+                np.all(np.abs(velocity + added_v) <= np.maximum(fastest, np.abs(velocity)))
+                and np.all(np.abs(velocity + added_v) <= most_v)
+                and np.all(np.abs(acceleration + added_a) <= most_a)
+            )
+
+        tries = [(s, pace) for s in _STRETCHES[:_STEADY]] + [(s, most_v) for s in _STRETCHES]
+        for stretch, fastest in tries:
+            if keeps(stretch, fastest):
                 return replace(
                     running,
                     target=target,
-                    starts_s=np.append(running.starts_s, start_s),
-                    durations_s=np.append(running.durations_s, duration_s),
+                    starts_s=np.append(running.starts_s, at_s),
+                    durations_s=np.append(running.durations_s, shortest_s * stretch),
                     steps=np.vstack((running.steps, step)),
                 )
         return None
 
-    def _running(self, at_s: float) -> Stream:
-        """What of it is still going on at `at_s`."""
+    @property
+    def pace(self) -> Array:
+        """How fast the operator goes [axes]; messages that come in a bunch were sent evenly."""
+        if len(self.dues_s) < 2:
+            return np.full(self.points.shape[1], np.inf)
+        gaps_s = np.diff(self.dues_s)
+        gaps_s = np.maximum(gaps_s, max(self.period_s, 1e-3))
+        pace: Array = np.max(np.abs(np.diff(self.points, axis=0)) / gaps_s[:, None], axis=0)
+        return pace
+
+    @property
+    def period_s(self) -> float:
+        """How often points come; 0 when that is not known."""
+        if len(self.dues_s) < 2:
+            return 0.0
+        mean_s = float(self.dues_s[-1] - self.dues_s[0]) / (len(self.dues_s) - 1)
+        return min(max(mean_s, 0.0), LINGER_S)
+
+    def _duration_s(self, at_s: float, due_s: float) -> float:
+        """How long the step to the newest point is to take."""
+        gap_s = self.period_s
+        even_s = max(_EVEN[0] * gap_s, WINDOW_S)
+        if at_s + even_s > due_s + _SOON_S:
+            even_s = max(_EVEN[1] * gap_s, _SHORTEST_S)
+        return max(due_s - at_s, even_s)
+
+    def _running(self, at_s: float, due_s: float, point: Array) -> Stream:
+        """What of it is still going on at `at_s`, with a further point in the books."""
+        dues_s = np.append(self.dues_s, due_s)
+        kept = dues_s >= due_s - _KEPT_S
         on = self.starts_s + self.durations_s > at_s
         base = self.base
         if base.end_s <= at_s:
@@ -111,6 +195,8 @@ class Stream:
             starts_s=self.starts_s[on],
             durations_s=self.durations_s[on],
             steps=self.steps[on],
+            dues_s=dues_s[kept],
+            points=np.vstack((self.points, point))[kept],
         )
 
     @property

@@ -40,13 +40,15 @@ class Trajectory:
     accelerations: NDArray[np.float64] | None = None  # [points, joints] [unit/s²]
     stamp_s: float | None = None  # header.stamp; None: as soon as possible
     has_effort: bool = False  # which does not count
+    published: bool = False  # on a topic, where others may follow: the last point may still move
 
     def __post_init__(self) -> None:
         if len(self.times_s):
             _check_joint_names(self.joint_names)
             self._check_values()
             self._check_times()
-            self._check_rest()
+            if not self.published:
+                self.check_rest()
 
     @classmethod
     def from_dict(cls, message: Any) -> Trajectory:
@@ -76,7 +78,7 @@ class Trajectory:
         )
 
     @classmethod
-    def from_message(cls, message: Any) -> Trajectory:
+    def from_message(cls, message: Any, published: bool = False) -> Trajectory:
         """From a trajectory_msgs/JointTrajectory (or anything with its attributes)."""
         points, stamp = message.points, message.header.stamp
         times = list(map(attrgetter("time_from_start"), points))
@@ -87,6 +89,7 @@ class Trajectory:
             {field: list(map(attrgetter(field), points)) for field in _FIELDS},
             stamp.sec + stamp.nanosec * 1e-9,
             has_effort=any(len(point.effort) for point in points),
+            published=published,
         )
 
     @classmethod
@@ -97,6 +100,7 @@ class Trajectory:
         fields: Mapping[str, Sequence[Sequence[float]]],
         stamp_s: float,
         has_effort: bool = False,
+        published: bool = False,
     ) -> Trajectory:
         if len(times_s):
             _check_joint_names(joint_names)
@@ -112,6 +116,7 @@ class Trajectory:
             np.zeros((0, len(joint_names))) if positions is None else positions,
             stamp_s=stamp_s or None,
             has_effort=has_effort,
+            published=published,
             **arrays,
         )
 
@@ -119,6 +124,11 @@ class Trajectory:
     def duration_s(self) -> float:
         """time_from_start of the last point."""
         return float(self.times_s[-1]) if len(self.times_s) else 0.0
+
+    @property
+    def rests(self) -> bool:
+        """Whether the last point is at rest; without velocities it is."""
+        return self.velocities is None or bool(np.all(np.abs(self.velocities[-1]) <= REST_VELOCITY))
 
     def axes(self, joints: Sequence[str], allow_partial: bool = False) -> list[int]:
         """Place of each of the trajectory's joints in `joints`, the driver's order.
@@ -174,7 +184,8 @@ class Trajectory:
                 f"point {point - 1} ({times[point - 1]:g} s)"
             )
 
-    def _check_rest(self) -> None:
+    def check_rest(self) -> None:
+        """Raise UnfinishedTrajectory when the last point still moves."""
         if self.velocities is None:
             return
         last = self.velocities[-1]

@@ -37,7 +37,7 @@ def read_trajectory(data: bytes) -> Trajectory:
     """
     try:
         return _from_table(data) or Trajectory.from_message(
-            deserialize_message(data, JointTrajectory)
+            deserialize_message(data, JointTrajectory), published=True
         )
     except (struct.error, UnicodeDecodeError, RMWError) as error:
         raise TrajectoryError(f"the message is damaged: {error}") from error
@@ -86,6 +86,7 @@ def _from_table(data: bytes) -> Trajectory | None:
         column("sec") + column("nanosec") * 1e-9,
         stamp_s=sec + nanosec * 1e-9 or None,
         has_effort=bool(counts[3]),
+        published=True,
         **given,
     )
 

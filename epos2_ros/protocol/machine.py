@@ -84,7 +84,8 @@ class Machine:
     def _interpolated(self, axes: list[PvtAxis]) -> Interpolated:
         config = self.config
         buffer_time_ms = config.buffer_time * 1e3
-        feeder = Feeder(axes, buffer_time_ms, config.tolerance, config.smoothness)
+        stream_ahead_ms = config.stream_ahead * 1e3
+        feeder = Feeder(axes, buffer_time_ms, stream_ahead_ms, config.tolerance, config.smoothness)
         reads = BufferReads(axes, buffer_time_ms)
         return Interpolated(axes, feeder, reads, self.path_time, self.out)
 

@@ -25,9 +25,9 @@ from epos2_ros.config import AxisConfig, DriverConfig
 from epos2_ros.errors import TrajectoryError
 from epos2_ros.motion.join import join
 from epos2_ros.motion.limits import BEYOND_POINTS, Limits
-from epos2_ros.motion.reference import Reference
+from epos2_ros.motion.reference import Motion, Reference
 from epos2_ros.motion.stop import stop
-from epos2_ros.motion.stream import Stream, is_streamed
+from epos2_ros.motion.stream import HORIZON_S, Stream, is_streamed
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.motion.units import AxisUnits
 from epos2_ros.protocol.drive import Drive
@@ -152,7 +152,9 @@ class PathCommander:
     ) -> Placement:
         """Where it begins, by what the group is doing now; it takes over `lead_ms` after the end
         of what is committed. TrajectoryError when it can't begin."""
-        refuse_ended(trajectory, stamp_us, now_us)
+        streamed = is_streamed(trajectory)
+        late_us = HORIZON_S * 1e6 if streamed else 0.0  # what came late is still where to go
+        refuse_ended(trajectory, stamp_us, now_us - late_us)
         refuse_unreferenced(self._config.axes, self._interpolated.drives, trajectory.joint_names)
         group, feeder = self._group, self._interpolated.feeder
         if group.standing and not self._streams_on(trajectory):
@@ -170,7 +172,7 @@ class PathCommander:
             trajectory,
             stamp_us,
             feeder.reference,
-            feeder.committed_ms + lead_ms,
+            self._take_over_ms(streamed, now_us, lead_ms),
             round((start_us - group.path_time.zero_us(now_us)) / 1000),
         )
 
@@ -279,7 +281,13 @@ class PathCommander:
     ) -> Placement:
         """On a start SYNC: as soon as possible, at the stamp, or joined midway."""
         start_ms, planned_start_us = HOLD_MS, None
-        if stamp_us is not None:
+        if stamp_us is not None and is_streamed(trajectory):
+            # As soon as possible, joined there; a stamp ahead is waited for.
+            early_us = stamp_us + 1e6 * float(trajectory.times_s[0]) - now_us
+            if early_us > LATE_START_US:
+                planned_start_us = now_us + early_us - 1000 * HOLD_MS
+            start_ms = HOLD_MS + round((stamp_us - (planned_start_us or now_us)) / 1000)
+        elif stamp_us is not None:
             planned_start_us = stamp_us - 1000 * HOLD_MS
             if stamp_us < now_us + LATE_START_US:
                 planned_start_us = now_us + LATE_START_US
@@ -299,6 +307,20 @@ class PathCommander:
         return self._placement(
             Way.BEGIN, trajectory, stamp_us, rest, HOLD_MS, start_ms, planned_start_us
         )
+
+    def _take_over_ms(self, streamed: bool, now_us: float, lead_ms: int) -> int:
+        """Path time at which what comes now takes over from the motion in progress."""
+        feeder = self._interpolated.feeder
+        earliest_ms = feeder.committed_ms + lead_ms
+        if not streamed or not isinstance(self._governing(earliest_ms), Stream):
+            return earliest_ms
+        path_ms = self._group.path_time.at_ms(now_us) or 0.0
+        return max(earliest_ms, round(path_ms + feeder.stream_take_over_ms))
+
+    def _governing(self, at_ms: int) -> Motion:
+        reference = self._interpolated.feeder.reference
+        assert reference is not None
+        return reference.governs(at_ms)
 
     @property
     def _in_motion(self) -> bool:

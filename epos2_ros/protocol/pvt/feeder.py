@@ -33,9 +33,8 @@ MIN_RECORDS_AHEAD = 3  # so that two remain when the next segment begins
 MARGIN_MS = 80.0  # less than 100 by what a host needs to send after its stall
 SHARE = 4  # of the buffer time is the longest segment: this bounds what is committed
 MAX_RECORDS_AHEAD = epos2.BUFFER_SIZE - 4
-STREAM_AHEAD_MS = 50.0
-"""Streamed points are 100–150 ms ahead: with more committed, the axes would have to stop at
-each. So a stream keeps this much ahead, whatever the buffer time is."""
+STREAM_SEGMENT_MS = 16
+"""Longest segment of a stream: its points are a moment ahead, and what is committed is lag."""
 
 KEPT_MS = 1000.0  # of what was commanded, for those who compare it with what is measured
 
@@ -47,6 +46,7 @@ class Feeder:
         self,
         axes: Sequence[PvtAxis],
         buffer_time_ms: float,
+        stream_ahead_ms: float,
         tolerance_qc: float,
         smoothness: float,
     ) -> None:
@@ -55,6 +55,7 @@ class Feeder:
         self._path_ms = 0.0
         self._axes = axes
         self._buffer_time_ms = buffer_time_ms
+        self._stream_ahead_ms = min(stream_ahead_ms, buffer_time_ms)
         self._ahead_ms = self._reserve_ms = 0.0  # by which the drives have motion, and two records
         self._fitter = Fitter([axis.fit for axis in axes], tolerance_qc, smoothness=smoothness)
 
@@ -79,8 +80,8 @@ class Feeder:
         self.reference = reference
         streamed = isinstance(reference.motions[-1], Stream)
         if streamed:
-            self._ahead_ms = min(self._buffer_time_ms, STREAM_AHEAD_MS)
-            self._reserve_ms, longest = 0.0, self._ahead_ms // MIN_RECORDS_AHEAD
+            self._ahead_ms, self._reserve_ms = self._stream_ahead_ms, 0.0
+            longest: float = STREAM_SEGMENT_MS
         else:
             self._ahead_ms = 0.0
             self._reserve_ms = max(self._buffer_time_ms - MARGIN_MS, 0.0)
@@ -91,6 +92,12 @@ class Feeder:
     def committed_ms(self) -> int:
         """Path time up to which every drive has, or must get, records of what was committed."""
         return max(axis.account.committed_ms for axis in self._axes)
+
+    @property
+    def stream_take_over_ms(self) -> float:
+        """By how much a streamed point takes over later than now: always the same, so that evenly
+        sent points begin evenly."""
+        return self._stream_ahead_ms + STREAM_SEGMENT_MS
 
     @property
     def ending(self) -> bool:
