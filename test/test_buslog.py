@@ -199,13 +199,13 @@ def test_garbage_is_a_value_error(line):
 
 
 INPUTS = {
-    Machine: {"receive", "advance", "move_to"},
+    Machine: {"receive", "advance", "move_to", "home"},
     Group: {*inputs.REQUESTS, *inputs.REPORTS},
     PathCommander: {*inputs.TRAJECTORIES, *inputs.STOPS},
     Outbox: {"answer"},
 }
 OTHERS = {  # they change nothing, or are called by what is in the log
-    Machine: {"deadline_us"},
+    Machine: {"deadline_us", "home_limit_s", "homing_orders"},
     Group: {
         *("receive", "advance", "begin", "cancel", "go_on"),
         *("describe_phase", "lost", "moving", "silent", "standing"),

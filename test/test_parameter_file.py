@@ -87,7 +87,11 @@ def test_every_scalar_has_the_value_and_type_that_rcl_gives_it(rcl: Rcl) -> None
     assert same(ours(text), rcl(text))
 
 
-@settings(max_examples=300, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=300,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
 @given(st.lists(st.text("0123456789+-.eEyYnNaAiIfFxX", min_size=1, max_size=8), min_size=8))
 @example(["+", "."])
 def test_so_has_whatever_may_be_a_number(rcl: Rcl, scalars: list[str]) -> None:

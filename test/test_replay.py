@@ -117,7 +117,7 @@ def stall(made: Recorded, seconds: float) -> None:
 
 
 def host_stalls(made: Recorded) -> None:
-    stall(made, 0.45)  # with 0.5 s in the buffers, some of that in execution
+    stall(made, 0.9)  # longer than drives wait for the heartbeat of a host
 
 
 def drive_goes_silent(made: Recorded) -> None:
@@ -157,7 +157,7 @@ FAULTS = [
     (limit_switch, r"joint_3 \(node 3\): positive limit switch \(0xFF07\)"),
     (over_voltage, r"joint_1 \(node 1\): over-voltage \(0x3210\)"),
     (over_temperature, r"joint_1 \(node 1\): over-temperature \(0x4210\)"),
-    (host_stalls, r"interpolated position mode error \(0xFF0C\): underflow error"),
+    (host_stalls, r"life guard or heartbeat error: the host was not heard \(0x8130\)"),
     (drive_goes_silent, r"joint_2 \(node 2\) is silent"),
     (drive_restarts, r"joint_2 \(node 2\) has restarted"),
     (drive_misses_a_record, r"joint_2 \(node 2\)"),
