@@ -207,7 +207,7 @@ INPUTS = {
 OTHERS = {  # they change nothing, or are called by what is in the log
     Machine: {"deadline_us", "home_limit_s", "homing_orders"},
     Group: {
-        *("receive", "advance", "begin", "cancel", "go_on"),
+        *("receive", "advance", "begin", "cancel", "give_up", "go_on"),
         *("describe_phase", "lost", "moving", "silent", "standing"),
     },
     PathCommander: {"advance", "cancel", "disable", "submit"},
