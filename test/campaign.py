@@ -657,12 +657,14 @@ class Watch:
 # ---------------------------------------------------------------------------- a run
 
 
-def _move(stage: Stage, action: Action, stamp_s: float | None = None, reach: float | None = None):
+def _move(
+    stage: Stage, action: Action, stamp_s: float | None = None, reach: float | None = None
+) -> Future[Any] | None:
     """As a user would: from where the axes say that they stand, or on from where they move."""
-    machine, here = stage.machine, []
-    drives = machine.interpolated.drives
-    for drive in drives:
-        here.append((drive.standing_qc or 0) / QC_PER_RAD)
+    drives = stage.machine.interpolated.drives
+    if not drives:
+        return _move_to(stage, action)
+    here = [(drive.standing_qc or 0) / QC_PER_RAD for drive in drives]
     to = [at + (action.reach if reach is None else reach) for at in here]
     points, times = np.array([here, to]), np.array([0.0, action.lasts_s])
     if stage.group.moving:
@@ -676,6 +678,8 @@ def _move(stage: Stage, action: Action, stamp_s: float | None = None, reach: flo
 
 def _stream(stage: Stage, action: Action) -> Future[Any] | None:
     drives = stage.machine.interpolated.drives
+    if not drives:
+        return _move_to(stage, action)
     here = [(drive.standing_qc or 0) / QC_PER_RAD for drive in drives]
     joints = tuple(drive.joint for drive in drives)
     for n in range(1, 25):
