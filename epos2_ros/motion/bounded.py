@@ -17,7 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epos2_ros.motion.curve import Curve, hermite
-from epos2_ros.motion.limits import MARGINS, RELATIVE_SLACK, ROUNDING, Limits, amplification, refine
+from epos2_ros.motion.limits import (
+    CHUNK,
+    MARGINS,
+    RELATIVE_SLACK,
+    ROUNDING,
+    Limits,
+    amplification,
+    refine,
+)
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -32,44 +40,54 @@ def bounded(curve: Curve, limits: Limits) -> Curve:
     What keeps them already stays as it is. The curve has further points where accelerations jump.
     """
     count = len(curve.times_s) - 1
-    h, points = curve.bezier(0, count)
-    too_far = np.abs(points[-1] - points[0]) > (1 + MARGINS[1]) * limits.velocity[:, None] * h
-    beyond = _beyond(h, points, limits) & ~too_far  # for any curve
-    if not beyond.any():
-        return curve
-    axis, piece = np.nonzero(beyond)
-    velocities = np.diff(points, axis=0) * curve.degree / h
-    p0, p1, v0, v1 = (
-        values[axis, piece] for values in (points[0], points[-1], velocities[0], velocities[-1])
+    parts = [
+        _part(curve, first, min(first + CHUNK, count), limits) for first in range(0, count, CHUNK)
+    ]
+    begins_s = np.concatenate([part[0] for part in parts])
+    position, velocity, acceleration = (
+        np.concatenate([part[1][order] for part in parts], axis=1) for order in range(3)
+    )  # [2, pieces, axes]: at both ends of every piece
+    return Curve(
+        np.append(begins_s, curve.end_s),
+        np.concatenate((position[0], position[1, -1:])),
+        np.concatenate((velocity[0], velocity[1, -1:])),
+        np.concatenate((acceleration[0], acceleration[1, -1:])),
+        arriving=np.concatenate((acceleration[0, :1], acceleration[1])),
     )
+
+
+def _part(curve: Curve, first: int, last: int, limits: Limits) -> tuple[Array, list[Array]]:
+    """When the pieces of the new curve begin that stand for pieces first … last − 1, and positions,
+    velocities and accelerations at both ends of them, each [2, pieces, axes]."""
+    times_s = curve.times_s[first : last + 1]
+    h, points = curve.bezier(first, last)
+    _, ends = curve.pieces(first, last)
+    beyond = _beyond(h, points, limits)
+    axis, piece = np.nonzero(beyond)
+    p0, p1, v0, v1 = (values[axis, piece] for pair in ends[:2] for values in pair)
     cubic = _cubic_keeps(h[piece], p0, p1, v0, v1, limits, axis)
     phases = _Phases.least(h[piece], p0, p1, v0, v1, limits.velocity[axis])
     cubic |= ~phases.inside.any(axis=0)  # as good as one phase
-    phases, switches = phases.together(curve.times_s[piece], ~cubic)
-    times = np.unique(np.concatenate((curve.times_s, switches)))
-    # Both ends of every piece of the new curve, as places on the pieces of the old one.
-    old = np.minimum(np.searchsorted(curve.times_s, times[:-1], side="right") - 1, count - 1)
-    starts, ends = times[:-1] - curve.times_s[old], times[1:] - curve.times_s[old]
-    values = [_evaluated(curve, old, np.stack((starts, ends)), order) for order in range(3)]
+    phases, switches = phases.together(times_s[piece], ~cubic)
+    begins_s = np.unique(np.concatenate((times_s[:-1], switches)))
+    # Both ends of every new piece, as places on the old ones.
+    old = np.searchsorted(times_s[:-1], begins_s, side="right") - 1
+    at_s = np.stack((begins_s, np.append(begins_s[1:], times_s[-1]))) - times_s[old]
+    own = tuple((start[:, old], end[:, old]) for start, end in ends)
     row = np.full(beyond.shape, -1)
     row[axis, piece] = np.arange(len(axis))
-    for i in np.flatnonzero(beyond.any(axis=1)):
-        mine = row[i, old]
-        replaced = mine >= 0
-        one = mine[replaced]
-        at = np.stack((starts[replaced], ends[replaced]))
-        for order in range(3):
-            own = hermite(
-                at / h[piece[one]], h[piece[one]], ((p0[one], p1[one]), (v0[one], v1[one])), order
-            )
-            values[order][:, replaced, i] = np.where(cubic[one], own, phases.at(one, at, order))
-    return Curve(
-        times,
-        np.concatenate((values[0][0], values[0][1, -1:])),
-        np.concatenate((values[1][0], values[1][1, -1:])),
-        np.concatenate((values[2][0], values[2][1, -1:])),
-        arriving=np.concatenate((values[2][0, :1], values[2][1])),
-    )
+    values = []
+    for order in range(3):
+        value = np.stack([hermite(at / h[old], h[old], own, order).T for at in at_s])
+        for i in np.flatnonzero(beyond.any(axis=1)):
+            new = row[i, old] >= 0
+            one = row[i, old][new]
+            least = phases.at(one, at_s[:, new], order)
+            length, states = h[piece[one]], ((p0[one], p1[one]), (v0[one], v1[one]))
+            simple = hermite(at_s[:, new] / length, length, states, order)
+            value[:, new, i] = np.where(cubic[one], simple, least)
+        values.append(value)
+    return begins_s, values
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,13 +187,6 @@ class _Phases:
         return np.where(at < first, before, np.where(at <= second, between, after))
 
 
-def _evaluated(curve: Curve, piece: NDArray[np.intp], at_s: Array, order: int) -> Array:
-    """A derivative of pieces at times since they began [2, pieces] → [2, pieces, axes]."""
-    h, ends = curve.pieces(0, len(curve.times_s) - 1)
-    h, own = h[piece], tuple((a[:, piece], b[:, piece]) for a, b in ends)
-    return np.stack([hermite(at / h, h, own, order).T for at in at_s])
-
-
 def _cubic_keeps(
     h: Array, p0: Array, p1: Array, v0: Array, v1: Array, limits: Limits, axis: NDArray[np.intp]
 ) -> Mask:
@@ -193,8 +204,10 @@ def _cubic_keeps(
 
 
 def _beyond(h: Array, points: Array, limits: Limits) -> Mask:
-    """Which pieces exceed velocity or acceleration limits [axes, pieces]."""
+    """In which pieces, given by their Bézier points, axes exceed limits of velocity or acceleration
+    and another curve could be better [axes, pieces]."""
     degree = len(points) - 1
+    way = np.abs(points[-1] - points[0])
     result = np.zeros(points.shape[1:], dtype=bool)
     for order, bounds in ((1, limits.velocity), (2, limits.acceleration)):
         points = np.diff(points, axis=0) * (degree + 1 - order) / h
@@ -205,4 +218,4 @@ def _beyond(h: Array, points: Array, limits: Limits) -> Mask:
             each, part = np.arange(len(axis)), sign * points[:, axis, piece]
             refine(part, each, when.copy(), h[piece], most[axis, piece], found, when)
         result[axis, piece] |= found > -np.inf
-    return result
+    return result & (way <= (1 + MARGINS[1]) * limits.velocity[:, None] * h)

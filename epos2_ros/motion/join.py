@@ -64,8 +64,10 @@ def join(
         )
     trajectory.check_rest()
     curve = _placed(trajectory, axes, state, limits, at_s, start_s)
-    curve = bounded(curve, limits)
-    remark = check(curve, limits, start_s, MARGINS)
+    remark = check(curve, limits, start_s, (0, np.inf, np.inf))
+    if remark:
+        curve = bounded(curve, limits)
+        remark = check(curve, limits, start_s, MARGINS)
     same = partial(_same, current, state, current.rests(at_ms))
     return current.followed_by(cross(curve, state, limits, at_s, same), at_ms, remark)
 

@@ -34,7 +34,7 @@ PLANNED_SHARE = 0.999
 MARGINS = (0.0, 0.04, 0.2)
 NOTED = 1e-3  # share of a limit; less than that is rounding of the points
 BEYOND_POINTS = "no curve through the trajectory's points keeps the limits"
-_CHUNK = 8192  # pieces at a time: large enough for NumPy, small enough for the memory
+CHUNK = 8192  # pieces at a time: large enough for NumPy, small enough for the memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,8 +168,8 @@ def _peaks(curve: Curve, floor: Array, rounding: float = 0.0) -> tuple[Array, Ar
     `rounding` is the error of the curve's points, which `floor` is raised by.
     """
     best, when = np.full(floor.shape, -np.inf), np.full(floor.shape, curve.start_s)
-    for first in range(0, len(curve.times_s) - 1, _CHUNK):
-        last = min(first + _CHUNK, len(curve.times_s) - 1)
+    for first in range(0, len(curve.times_s) - 1, CHUNK):
+        last = min(first + CHUNK, len(curve.times_s) - 1)
         h, points = curve.bezier(first, last)
         for order in range(3):
             if order:
