@@ -7,7 +7,7 @@ import math
 from epos2_ros.bus.epos2 import Epos2Settings
 from epos2_ros.config import AxisConfig, DriverConfig
 from epos2_ros.motion.fit import FitAxis
-from epos2_ros.motion.units import AxisUnits, drive_limits
+from epos2_ros.motion.units import PROFILE_ACCELERATION_RPM_S, AxisUnits, drive_limits
 from epos2_ros.protocol.machine import Machine
 from epos2_ros.protocol.pvt.feeder import STREAM_SEGMENT_MS
 
@@ -57,13 +57,18 @@ def fit_axis(axis: AxisConfig, config: DriverConfig) -> FitAxis:
     """What the search for records has to keep: what the drive enforces."""
     units = AxisUnits.of(axis)
     acceleration = _acceleration(axis, config, ACCELERATION_HEADROOM)
-    most = math.inf if acceleration is None else acceleration / 60 * axis.counts_per_turn
-    commanded = abs(units.to_qc_s(axis.max_acceleration or 0.0))
+    if acceleration is None or axis.max_acceleration is None:
+        most = math.inf
+        agility_rpm_s = (ACCELERATION_HEADROOM - 1) * PROFILE_ACCELERATION_RPM_S
+        spare = agility_rpm_s / 60 * axis.counts_per_turn
+    else:
+        most = acceleration / 60 * axis.counts_per_turn
+        spare = most - abs(units.to_qc_s(axis.max_acceleration))
     return FitAxis(
         units.velocity_unit_qc_s,
         _velocity(axis, config, VELOCITY_HEADROOM) * units.velocity_unit_qc_s,
         most,
-        most - commanded,
+        spare,
     )
 
 

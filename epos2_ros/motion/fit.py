@@ -43,7 +43,8 @@ class FitAxis:
     velocity_unit_qc_s: float  # one drive velocity unit
     max_velocity_qc_s: float = inf  # 0x607F
     max_acceleration_qc_s2: float = inf  # 0x60C5
-    spare_acceleration_qc_s2: float = inf  # what this leaves beside any commanded acceleration
+    # What this leaves beside any commanded acceleration, or is to be enough without a limit.
+    spare_acceleration_qc_s2: float = inf
 
 
 class Fitter:
