@@ -8,6 +8,7 @@ import os
 import platform
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +31,10 @@ TABLES: dict[str, tuple[Tables, str]] = {
         "number of records against the fewest there can be; minutes",
     ),
     "smoothness": (
-        lambda chosen: smoothness.tables(cases.all_cases(chosen.seeds[:1])),
+        lambda chosen: chain(
+            [smoothness.summary(cases.all_cases(chosen.seeds))],
+            smoothness.tables(cases.all_cases(chosen.seeds[:1])),
+        ),
         "acceleration of the executed curve against the commanded one",
     ),
     "speed": (

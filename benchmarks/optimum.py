@@ -6,12 +6,15 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 
-from .cases import SMOOTHNESS, Case
+from .cases import Case
 from .search import fewest
 from .table import Table
 
 TOLERANCE_QC = 1.0
-NOTES = "records of all axes, the ones that end the motions included; segments of 1 … 255 ms"
+NOTES = (
+    "records of all axes, the ones that end the motions included; segments of 1 … 255 ms; "
+    "smoothness 0"
+)
 
 
 def tables(cases: Sequence[Case]) -> Iterator[Table]:
@@ -23,7 +26,7 @@ def tables(cases: Sequence[Case]) -> Iterator[Table]:
                 fewest, *zip(*case.curves, strict=True), [TOLERANCE_QC] * len(case.curves)
             )
             optimum = list(best)
-            ours = [len(records) for records in case.records(TOLERANCE_QC, SMOOTHNESS)]
+            ours = [len(records) for records in case.records(TOLERANCE_QC, smoothness=0.0)]
             rows.append(
                 {
                     "trajectory": case.name,

@@ -17,7 +17,7 @@ from .table import Table
 
 TOLERANCE_QC = 1.0
 GRIDS_MS = (10, 20, 50)
-WEIGHTS = (SMOOTHNESS, 0.3, 1.0, 10.0)
+WEIGHTS = {"fewest": 0.0, "default": SMOOTHNESS, "smoothest": 10.0}
 NOTES = (
     "executed less commanded acceleration at every millisecond, over all axes, as a share of the "
     "largest commanded one of the axis; smoothness is ipm.smoothness"
@@ -28,13 +28,40 @@ def tables(cases: Sequence[Case]) -> Iterator[Table]:
     """One table per trajectory, one row per way of choosing records."""
     for case in cases:
         rows = [
-            row(case, f"ours, smoothness {w:g}", case.records(TOLERANCE_QC, w)) for w in WEIGHTS
+            row(case, f"{name}, smoothness {weight:g}", case.records(TOLERANCE_QC, weight))
+            for name, weight in WEIGHTS.items()
         ]
         same, *_ = common_spacing(PvtGrid(case), TOLERANCE_QC)
         for ms in (*GRIDS_MS, same):
             as_exact = f", the widest for {TOLERANCE_QC:g} qc" if ms == same else ""
             rows.append(row(case, f"grid of {ms} ms{as_exact}", on_grid(case, ms)))
         yield Table(f"Smoothness at {TOLERANCE_QC:g} qc: {case.name}", rows, NOTES)
+
+
+def summary(cases: Sequence[Case]) -> Table:
+    """The fewest records, the default, and the widest grid that keeps the tolerance."""
+    rows = []
+    for case in cases:
+        spacing_ms, *_ = common_spacing(PvtGrid(case), TOLERANCE_QC)
+        ways = {
+            "fewest": case.records(TOLERANCE_QC, 0.0),
+            "default": case.records(TOLERANCE_QC, SMOOTHNESS),
+            "grid": on_grid(case, spacing_ms),
+        }
+        fewest, default, grid = (row(case, name, records) for name, records in ways.items())
+        per_s, error = "records/s per axis", "acceleration error, RMS [%]"
+        rows.append(
+            {
+                "trajectory": case.name,
+                **{f"{way['records']} [records/s]": way[per_s] for way in (fewest, default, grid)},
+                "default: more than fewest [%]": 100 * (default[per_s] / fewest[per_s] - 1),
+                **{f"{way['records']}: RMS [%]": way[error] for way in (fewest, default, grid)},
+            }
+        )
+    title = (
+        f"Smoothness at {TOLERANCE_QC:g} qc: fewest records, default ({SMOOTHNESS:g}), widest grid"
+    )
+    return Table(title, rows, NOTES)
 
 
 def on_grid(case: Case, spacing_ms: int) -> list[list[Record]]:

@@ -86,7 +86,7 @@ class DriverConfig:
     buffer_time: float = 0.5  # [s]
     stream_ahead: float = 0.14  # as buffer_time, while points are streamed [s]
     tolerance: float = 1.0  # [qc]
-    smoothness: float = 0.0  # as of motion.fit.Fitter
+    smoothness: float = 0.8  # as of motion.fit.Fitter
     start_tolerance: float = 0.01  # [rad or m]
     approach: bool = False  # go to the first point, where the axes are away from it
     goal_time: float = 1.0  # [s]; 0: no limit

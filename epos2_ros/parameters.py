@@ -166,7 +166,7 @@ GROUP: dict[str, Spec] = {
         1.0, "largest deviation of the executed curve from the commanded one [qc]", 0.5, 10_000.0
     ),
     "ipm.smoothness": Spec(
-        0.0, "weight of smoothness against few records; 0 is fewest records", 0.0, 1e6
+        0.8, "weight of smoothness against few records; 0 is fewest records", 0.0, 1e6
     ),
     "constraints.start_tolerance": Spec(
         0.01, "how far the first point may lie from where the robot is [rad or m]", 0.0

@@ -189,6 +189,14 @@ def test_smoothness_of_cubics_met_exactly() -> None:
     assert coarse["acceleration error, RMS [%]"] > 5
 
 
+def test_the_default_is_as_smooth_as_a_grid_for_a_fifth_more_records_at_most() -> None:
+    """In the ones of the benchmark's ten motions that come nearest to it."""
+    motions = [cases.example("pick_place"), *cases.all_cases((1, 2, 3))[-3:]]
+    for motion in smoothness.summary(motions).rows:
+        assert motion["default: RMS [%]"] <= motion["grid: RMS [%]"], motion
+        assert motion["default: more than fewest [%]"] <= 20, motion
+
+
 def test_frames_are_counted_with_their_bits() -> None:
     """At least the 44 + 8·n bits and the gap of 3 (ISO 11898-1), at most a fifth more."""
     case = cases.example("jerk_limited")
