@@ -135,12 +135,24 @@ def _stream(
     target[axes] = point
     rest = Curve.resting(target)
     check(rest, limits)
-    return (stream and stream.to(target, limits, at_s, due_s, asked_s)) or Stream.after(
-        cross(
-            rest, state, limits, at_s, partial(_same, current, state, False), max(due_s - at_s, 0.0)
-        ),
-        due_s,
-    )
+    going = stream and stream.to(target, limits, at_s, due_s, asked_s)
+    if going:
+        return going
+    same = partial(_same, current, state, False)
+    soonest_s = max(due_s - at_s, 0.0)
+    try:
+        way = cross(rest, state, limits, at_s, same, soonest_s)
+    except TrajectoryError:  # fast axes that brake slowly: there is time
+        way = cross(rest, state, limits, at_s, same, soonest_s + _unhurried_s(rest, state, limits))
+    return Stream.after(way, due_s)
+
+
+def _unhurried_s(rest: Curve, state: State, limits: Limits) -> float:
+    """Enough for every axis to brake, to turn back and to brake again."""
+    brake_s = 1.5 * np.abs(state.velocity) / limits.agility
+    away = np.abs(rest.positions[0] - state.position) + brake_s * np.abs(state.velocity)
+    back_s = 4 * np.sqrt(away / limits.agility) + 2 * away / limits.velocity
+    return float(np.max(brake_s + back_s))
 
 
 def _check_start(
