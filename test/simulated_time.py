@@ -13,6 +13,7 @@ import numpy as np
 
 from epos2_ros.bus.link import Network
 from epos2_ros.bus.nodes import node_of
+from epos2_ros.bus.sdo_client import ATTEMPTS
 from epos2_ros.bus.sdo_jobs import perform
 from epos2_ros.bus.settings import machine_of
 from epos2_ros.bus.transmitter import Transmitter
@@ -24,7 +25,7 @@ from epos2_ros.protocol.frame import Frame
 from epos2_ros.protocol.intake import SDO_RESPONSE, Rejects, intake_of
 from epos2_ros.protocol.outbox import Event, SdoRequest
 from epos2_ros.protocol.sdo import SdoRead, SdoWrite
-from epos2_ros.sim.can_bus import SimulatedBus, TransmitQueueFull
+from epos2_ros.sim.can_bus import Remote, SimulatedBus, TransmitQueueFull
 from epos2_ros.sim.epos2 import Epos2
 
 SDO_PATIENCE_US = 300_000.0  # as long as canopen waits
@@ -157,7 +158,7 @@ class Bench:
 
     def _serve(self) -> None:
         """As the worker: SDO goes on beside everything else, where each access is a frame."""
-        if self._job is not None and self.now_us > self._asked_us + SDO_PATIENCE_US:
+        if self._job is not None and self.now_us > self._asked_us + ATTEMPTS * SDO_PATIENCE_US:
             self._finish("does not answer")
         request = self._next_request()
         if request is not None and _short(request):
@@ -221,7 +222,7 @@ class Bench:
 
     def _hand_over(self, frame: Frame) -> bool:
         try:
-            self.bus.host_send(frame.can_id, frame.data)
+            self.bus.host_send(frame.can_id, frame.data, **{"remote": True} if frame.remote else {})
         except TransmitQueueFull:
             return False
         return True
@@ -231,6 +232,8 @@ class Bench:
         self._await(lambda: self._job is None)
         self._push(frame)
         self.transmitter.pump(self.now_us)
+        if frame.can_id & 0x780 != 0x600:
+            return  # NMT, which nobody answers
         self._answered, self._serving = False, True
         self._await(lambda: self._answered)
         self._serving = False
@@ -246,12 +249,16 @@ class Bench:
 
     def _on_frame(self, can_id: int, data: bytes, t_us: float, echo: bool) -> bool:
         """Returns whether something is due before the time that was run to."""
-        frame = Frame(can_id, bytes(data))
+        frame = Frame(can_id, bytes(data), isinstance(data, Remote))
         self.frames.append((t_us, frame, echo))
         if echo:
             self.transmitter.on_echo(frame)
         elif can_id & 0x780 == 0x580:
             self._answered = self._job is None
+        if frame.remote:
+            self.machine.advance(self.now_us)
+            self._flush()
+            return self._deadline_us < self._due_us or self._until()
         accepted = echo or self.intake.accepts(frame)
         if accepted:
             self.machine.receive(frame, self.stamp_us(t_us), echo)

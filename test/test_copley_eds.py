@@ -1,6 +1,7 @@
 """The Copley EDS against the documents, as a CANopen master reads it, and the simulated drive.
 
-The tables are typed from Copley, "Setting outputs at position", and CiA 402.
+The tables are typed from Copley, "Setting outputs at position", and CiA 402; the simulated drive is
+held to the maker's own EDS of 2016.
 """
 
 from __future__ import annotations
@@ -11,9 +12,11 @@ from importlib import resources
 import canopen
 import pytest
 from canopen.objectdictionary import ODVariable, datatypes
+from makers import facts
 
 from epos2_ros.protocol import copley
 from epos2_ros.sim.copley import Copley
+from epos2_ros.sim.dictionary import SdoAbort
 
 NODE_ID = 5
 EDS = resources.files("epos2_ros") / "eds" / "copley.eds"
@@ -42,18 +45,26 @@ DRIVE = [
     (0x6060, 0, I8, "rw"),
     (0x6061, 0, I8, "ro"),
     (0x6062, 0, I32, "ro"),
-    (0x6064, 0, I32, "ro"),
+    (0x6064, 0, I32, "rw"),
     (0x606C, 0, I32, "ro"),
     (0x607A, 0, I32, "rw"),
     (0x607D, 1, I32, "rw"),
     (0x607D, 2, I32, "rw"),
-    (0x6081, 0, U32, "rw"),
-    (0x6083, 0, U32, "rw"),
-    (0x6084, 0, U32, "rw"),
-    (0x6085, 0, U32, "rw"),
+    (0x6081, 0, I32, "rw"),
+    (0x6083, 0, I32, "rw"),
+    (0x6084, 0, I32, "rw"),
+    (0x6085, 0, I32, "rw"),
     (0x6086, 0, I16, "rw"),
     (0x6502, 0, U32, "ro"),
 ]
+MAKER = [  # that the driver needs besides
+    (0x100C, 0, U16, "rw"),
+    (0x100D, 0, U8, "rw"),
+    (0x2120, 0, I32, "rw"),
+    (0x2183, 0, U32, "rw"),
+    (0x2300, 0, U16, "rw"),
+]
+NEWER = [(index, n, U32, "rw") for index in (0x608F, 0x6091, 0x6092) for n in (1, 2)]
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +80,7 @@ def variables(dictionary: canopen.ObjectDictionary) -> dict[tuple[int, int], ODV
     }
 
 
-@pytest.mark.parametrize("row", NOTE + DRIVE, ids=lambda row: f"{row[0]:04X}-{row[1]:02X}")
+@pytest.mark.parametrize("row", NOTE + DRIVE + MAKER, ids=lambda row: f"{row[0]:04X}-{row[1]:02X}")
 def test_object_is_as_documented(dictionary: canopen.ObjectDictionary, row: tuple) -> None:
     index, subindex, data_type, access = row
     found = variables(dictionary)[index, subindex]
@@ -80,8 +91,10 @@ def test_no_other_objects_of_the_manufacturer_or_the_profile(
     dictionary: canopen.ObjectDictionary,
 ) -> None:
     found = {key for key in variables(dictionary) if key[0] >= 0x2000}
-    counts = {(0x2193, 0), (0x607D, 0)}
-    assert found - counts == {row[:2] for row in NOTE + DRIVE}
+    counts = {(0x2193, 0), (0x607D, 0), (0x608F, 0), (0x6091, 0), (0x6092, 0)}
+    named = {row[:2] for row in NOTE + DRIVE + MAKER + NEWER}
+    assert found - counts == {key for key in named if key[0] >= 0x2000}
+    assert 0x1016 not in dictionary  # the drive has no heartbeat consumer
 
 
 def test_identity(dictionary: canopen.ObjectDictionary) -> None:
@@ -92,7 +105,7 @@ def test_identity(dictionary: canopen.ObjectDictionary) -> None:
 def test_the_simulated_drive_has_every_object_with_its_size(
     dictionary: canopen.ObjectDictionary,
 ) -> None:
-    drive = Copley(NODE_ID)
+    drive = Copley(NODE_ID, factors={0x608F: (1, 1), 0x6091: (1, 1), 0x6092: (1, 1)})
     sizes = {I8: 1, U8: 1, I16: 2, U16: 2, I32: 4, U32: 4, OCTETS: 10}
     for (index, subindex), variable in variables(dictionary).items():
         if variable.data_type not in sizes or 0x1400 <= index < 0x2000:
@@ -100,6 +113,37 @@ def test_the_simulated_drive_has_every_object_with_its_size(
         entry = drive.dictionary[index, subindex]
         assert entry.type.size == sizes[variable.data_type], f"{index:04X}-{subindex:02X}"
         assert (entry.access in ("ro", "const")) == (variable.access_type in ("ro", "const"))
+
+
+def test_the_simulated_drive_is_as_in_the_makers_table() -> None:
+    """Access, type, range, default and PDO mapping; what is not there is in the note alone."""
+    known = {(fact.index, fact.subindex): fact for fact in facts("copley_accelnet_2016.csv", 5)}
+    checked = 0
+    for key, entry in Copley(NODE_ID).dictionary.items():
+        if 0x2160 <= key[0] <= 0x2165 or key[0] == 0x250C:
+            continue
+        fact = known[key]
+        name = f"{key[0]:04X}-{key[1]:02X}"
+        if fact.size:  # else a string, or ten bytes
+            assert (entry.type.size, entry.type.signed) == (fact.size, fact.signed), name
+        assert entry.access.replace("const", "ro") == fact.access.replace("const", "ro"), name
+        assert entry.mappable == fact.mappable, name
+        if fact.default is not None and fact.access != "ro":
+            off = 0x1400 <= key[0] <= 0x1BFF and key[0] & 4  # PDOs that are not used
+            assert entry.default == fact.default or off or key[0] == 0x6081, name
+        if fact.limits is not None and fact.access != "ro":
+            assert (
+                entry.type.low if entry.low is None else entry.low,
+                entry.type.high if entry.high is None else entry.high,
+            ) == fact.limits, name
+        checked += 1
+    assert checked > 180
+
+
+@pytest.mark.parametrize("index", [0x1012, 0x1016, 0x6007])
+def test_objects_that_the_maker_does_not_have(index: int) -> None:
+    with pytest.raises(SdoAbort):
+        Copley(NODE_ID).dictionary[index, 0]
 
 
 def test_the_drivers_pdos_can_be_mapped() -> None:

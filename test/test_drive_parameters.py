@@ -54,7 +54,7 @@ class Bench:
 
     def written(self) -> list[tuple[int, int]]:
         """What was set by SDO so far (initiate download)."""
-        downloads = [d for can_id, d in self.sent if can_id & 0x780 == 0x600 and d[0] >> 5 == 1]
+        downloads = [d for can_id, d, _ in self.sent if can_id & 0x780 == 0x600 and d[0] >> 5 == 1]
         return [struct.unpack_from("<HB", data, 1) for data in downloads]
 
     def write(self, node_id: int, index: int, subindex: int, data: bytes) -> None:

@@ -15,6 +15,7 @@ from simulated_time import Bench, axes
 from epos2_ros.config import DriverConfig
 from epos2_ros.errors import DriveError, MotionAborted, TrajectoryError
 from epos2_ros.motion.trajectory import Trajectory
+from epos2_ros.protocol.frame import Frame
 from epos2_ros.protocol.group import Phase
 from epos2_ros.sim.epos2 import Epos2
 
@@ -105,8 +106,8 @@ def test_the_start_sequence_frame_by_frame():
 
     # Motion Synchronisation: "enable ip mode" (0x001F) in each drive's synchronous RPDO, all of
     # them on the bus before the SYNC that makes them count, and nothing between.
-    assert sent[start][1] == (0x080, b"")
-    assert before[-6:] == [(0x300 + n, b"\x1f\x00") for n in NODES]
+    assert sent[start][1] == Frame(0x080)
+    assert before[-6:] == [Frame(0x300 + n, b"\x1f\x00") for n in NODES]
     # Before that, records: at least three in every drive (3.6.3 asks for two besides the one in
     # execution), none of them the end record (time 0). And one more SYNC with its time stamps,
     # for the clocks to be together.

@@ -469,6 +469,7 @@ def test_a_log_that_has_lost_its_beginning_is_entered_where_the_axes_stand(
     monkeypatch.setattr(inputs, "STATE_US", 2e6)
     made = Recorded(tmp_path / "run.asc", few(AXES, log_size=1.2))
     made.enable()
+    made.run(1.0)
     for _ in range(2):
         made.path.submit(there_and_back(), None, made.now_us)
         made.wait(made.group.motion)

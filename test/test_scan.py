@@ -398,7 +398,7 @@ def test_upload_of_any_length(value: bytes) -> None:
         uploads.advance(t_us)
         if not uploads.outbox:
             continue
-        can_id, request = uploads.outbox.popleft()
+        can_id, request, _ = uploads.outbox.popleft()
         assert can_id == 0x601
         if request[0] == 0x40:
             assert request == bytes.fromhex("4000200300000000")

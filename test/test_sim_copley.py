@@ -416,9 +416,16 @@ def test_halt_and_quick_stop() -> None:
 
 def test_a_silent_host_is_a_fault_that_a_reset_leaves() -> None:
     axis = enabled()
-    axis.write(0x1016, 1, 0x7F << 16 | 100, 4)
-    axis.send(0x77F, "05")
-    axis.run(150)
+    axis.write(0x100C, 0, 20, 2)
+    axis.write(0x100D, 0, 5, 1)
+    axis.run(300)
+    assert axis.read(0x6041) & 0x6F == 0x27  # it has not been asked yet
+    for _ in range(3):
+        axis.bus.host_send(0x701, b"", remote=True)
+        axis.run(90)
+    assert axis.heard(0x701)[-3:] == [b"\x05", b"\x85", b"\x05"]  # a toggle bit (CiA 301)
+    assert axis.read(0x6041) & 0x6F == 0x27
+    axis.run(60)
     assert axis.read(0x6041) & 0x4F == 0x08
     assert axis.heard(0x081)[-1][:2] == bytes.fromhex("3081")  # 0x8130
     axis.write(0x6040, 0, 0x00, 2)

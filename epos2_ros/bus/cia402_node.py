@@ -29,6 +29,7 @@ FAULT_RESET_TIMEOUT_S = 1.0  # real drives take 25 ms
 PDO_INVALID, PDO_NO_REMOTE = 1 << 31, 1 << 30  # in a PDO's COB-ID (CiA 301, 7.5.2.35)
 DRIVE_HEARTBEAT_MS = 200
 HOST_HEARTBEAT_TIMEOUT_MS = 500  # the drive stops by itself when the host is silent so long
+GUARD_TIME_MS, LIFE_TIME_FACTOR = 100, 5  # likewise: the product
 GOES_ON = "it would go on moving when the host falls silent"
 STATE_TIMEOUT_S = 5.0
 ERROR_FIELD = 0x1003
@@ -68,30 +69,47 @@ class Cia402Node:
         return f"{self.joint} (node {self._node_id})"
 
     def configure(
-        self, write_objects: Callable[[], None], inhibit_us: Mapping[int, int] | None = None
+        self,
+        write_objects: Callable[[], None],
+        inhibit_us: Mapping[int, int] | None = None,
+        clear_faults: Callable[[], None] = lambda: None,
     ) -> int:
         """Check identity, configure, go operational; the statusword the drive then has.
 
-        `inhibit_us`: by COB-ID, of the transmit PDOs that have an inhibit time.
+        `inhibit_us`: by COB-ID, of the transmit PDOs that have an inhibit time; `clear_faults`:
+        what a fault reset needs before.
         """
         with self.objects.within(BRING_UP_LIMIT_S):
-            return self._configure(write_objects, inhibit_us or {})
+            self._check_identity()
+            clear_faults()
+            self._leave_operation()
+            write_objects()
+            return self._start(inhibit_us or {})
 
-    def _configure(self, write_objects: Callable[[], None], inhibit_us: Mapping[int, int]) -> int:
+    def _start(self, inhibit_us: Mapping[int, int]) -> int:
+        """Map the PDOs, then NMT start."""
         objects, family = self.objects, self._family
-        self._check_identity()
-        self._leave_operation()
-        write_objects()
-        objects.write(epos2.PRODUCER_HEARTBEAT_TIME, DRIVE_HEARTBEAT_MS)
         for mapping in family.rpdos:
             self._map(RECEIVE, mapping)
         for mapping in family.tpdos:
             self._map(TRANSMIT, mapping, inhibit_us.get(mapping.cob_id))
+        for direction, mappings in ((RECEIVE, family.rpdos), (TRANSMIT, family.tpdos)):
+            used = {mapping.number for mapping in mappings}
+            for number in sorted(set(range(1, family.pdos + 1)) - used):
+                self._switch_off(direction, number)
         self.node.nmt.send_command(0x01)  # operational
         return objects.read(epos2.STATUSWORD)
 
     def watch_host(self) -> None:
-        """The drive stops by itself when the host's heartbeat fails to appear."""
+        """The drive stops by itself when the host's heartbeat fails to appear, and sends its own.
+
+        By life guarding where its family does it so: it has to be asked again and again for its
+        state (a remote frame of 700h+id), and produces no heartbeat, which would replace that.
+        """
+        if self._family.life_guarding:
+            self._be_guarded()
+            return
+        self.objects.write(epos2.PRODUCER_HEARTBEAT_TIME, DRIVE_HEARTBEAT_MS)
         watched = HOST_NODE_ID << 16 | HOST_HEARTBEAT_TIMEOUT_MS
         self.objects.keep(
             epos2.CONSUMER_HEARTBEAT_TIME,
@@ -101,6 +119,16 @@ class Cia402Node:
             f"ms), {self.objects.name(epos2.CONSUMER_HEARTBEAT_TIME, 1)}",
             GOES_ON,
         )
+
+    def _be_guarded(self) -> None:
+        objects = self.objects
+        objects.write(epos2.PRODUCER_HEARTBEAT_TIME, 0)
+        for index, value, what in (
+            (epos2.GUARD_TIME, GUARD_TIME_MS, f"guard time of {GUARD_TIME_MS} ms"),
+            (epos2.LIFE_TIME_FACTOR, LIFE_TIME_FACTOR, f"life time factor of {LIFE_TIME_FACTOR}"),
+        ):
+            attempt = f"let it watch the host by a {what}, {objects.name(index)}"
+            objects.keep(index, value, 0, attempt, GOES_ON)
 
     def _check_identity(self) -> None:
         family = self._family
@@ -160,6 +188,14 @@ class Cia402Node:
             return ", with no error in its history (0x1003)"
         code = self.objects.read(ERROR_FIELD, 1) & 0xFFFF
         return f": {self._family.describe_emergency(code)}"
+
+    def _switch_off(self, direction: Direction, number: int) -> None:
+        """A PDO that is not used: what the drive has left the factory with, say."""
+        pdo, record = f"{direction.name}{number}", direction.record + number - 1
+        cob_id = self.objects.read(record, 1, f"read the COB-ID of {pdo} (0x{record:04X}-01)")
+        if not cob_id & PDO_INVALID:
+            attempt = f"switch {pdo} off (0x{record:04X}-01)"
+            self.objects.write(record, cob_id | PDO_INVALID, 1, attempt)
 
     def _map(
         self, direction: Direction, mapping: PdoMapping, inhibit_us: int | None = None

@@ -6,7 +6,7 @@ import math
 import time
 from dataclasses import dataclass
 
-from epos2_ros.bus.cia402_node import PDO_INVALID, RECEIVE, TRANSMIT, Cia402Node, Direction
+from epos2_ros.bus.cia402_node import Cia402Node
 from epos2_ros.bus.link import Network
 from epos2_ros.config import AxisConfig
 from epos2_ros.errors import ConfigurationError, DriveError
@@ -80,12 +80,9 @@ class Cl3eNode:
         raise DriveError(f"{self._access} can't send SYNC: set sync.producer to host")
 
     def _write_objects(self) -> None:
-        """It has no 0x1016: nothing here lets it watch the host."""
         s, write = self.settings, self._objects.write
-        for direction, numbers in ((RECEIVE, cl3e.UNUSED_RPDOS), (TRANSMIT, cl3e.UNUSED_TPDOS)):
-            for number in numbers:
-                self._switch_off(direction, number)
         self._check_units()
+        self._access.watch_host()
         write(epos2.MODES_OF_OPERATION, cl3e.MODE_PROFILE_POSITION)
         for index, subindex, value, parameters in (
             (cl3e.QUICK_STOP_OPTION, 0, cl3e.STAY_IN_QUICK_STOP, ()),
@@ -110,12 +107,6 @@ class Cl3eNode:
         here = self._objects.read(epos2.POSITION_ACTUAL)
         write(epos2.TARGET_POSITION, here)  # its preset of 4000 would be the first move's
         self._await_mode()
-
-    def _switch_off(self, direction: Direction, number: int) -> None:
-        record, pdo = direction.record + number - 1, f"{direction.name}{number}"
-        cob_id = self._objects.read(record, 1, f"read the COB-ID of {pdo}")
-        attempt = f"switch {pdo} off, which is not used"
-        self._objects.write(record, cob_id | PDO_INVALID, 1, attempt)
 
     def _check_units(self) -> None:
         """rpm, rpm/s and the encoder's counts: what the drive's own objects have to say.

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from fractions import Fraction
 
 from epos2_ros.bus.cia402_node import Cia402Node
 from epos2_ros.bus.link import Network
 from epos2_ros.config import AxisConfig
 from epos2_ros.errors import ConfigurationError, DriveError
-from epos2_ros.motion.units import UINT32_MAX, AxisUnits, position_limits
+from epos2_ros.motion.units import INT32_MAX, AxisUnits, position_limits
 from epos2_ros.protocol import copley, epos2
 
 
@@ -20,27 +21,36 @@ class CopleySettings:
     node_id: int
     min_position_qc: int
     max_position_qc: int
+    max_following_error_qc: int  # 0x2120
     stop_deceleration_counts_s2: float | None = None  # 0x6085
 
     @classmethod
     def of(cls, axis: AxisConfig) -> CopleySettings:
         """From the configuration in joint units."""
         units, stop = AxisUnits.of(axis), axis.stop_deceleration
-        for parameter, unit, step in (
-            ("max_velocity", "/s", copley.VELOCITY_UNIT_COUNTS_S),
-            ("max_acceleration", "/s²", copley.ACCELERATION_UNIT_COUNTS_S2),
-            ("stop_deceleration", "/s²", copley.ACCELERATION_UNIT_COUNTS_S2),
+        speed = copley.MAX_SPEED * copley.VELOCITY_UNIT_COUNTS_S
+        acceleration = INT32_MAX * copley.ACCELERATION_UNIT_COUNTS_S2
+        for parameter, unit, limit in (
+            ("max_velocity", "/s", speed),
+            ("max_acceleration", "/s²", acceleration),
+            ("stop_deceleration", "/s²", acceleration),
         ):
-            value, most = getattr(axis, parameter), abs(units.from_qc_s(UINT32_MAX * step))
+            value, most = getattr(axis, parameter), abs(units.from_qc_s(limit))
             if value is not None and value > most:
                 raise ConfigurationError(
                     f"axes.{axis.joint}.{parameter}: {value:g} {units.unit}{unit} is more than the "
                     f"drive can hold ({most:g} {units.unit}{unit})"
                 )
+        if axis.max_following_error > INT32_MAX:
+            raise ConfigurationError(
+                f"axes.{axis.joint}.max_following_error: {axis.max_following_error} qc is more "
+                f"than the drive can hold ({INT32_MAX} qc)"
+            )
         return cls(
             axis.joint,
             axis.node_id,
             *position_limits(axis, margin_qc=1),
+            axis.max_following_error,
             None if stop is None else abs(units.to_qc_s(stop)),
         )
 
@@ -55,7 +65,7 @@ class CopleyNode:
 
     def configure(self) -> int:
         """Check identity, configure, go operational; the statusword the drive then has."""
-        return self._access.configure(self._write_objects)
+        return self._access.configure(self._write_objects, clear_faults=self._clear_faults)
 
     def produce_sync(self, period_us: int) -> None:
         """DriveError: sync.producer is to be the host or an EPOS2."""
@@ -63,10 +73,65 @@ class CopleyNode:
 
     def _write_objects(self) -> None:
         s, write = self.settings, self._access.objects.write
+        self._check_units()
         self._access.watch_host()
+        self._access.objects.keep(
+            copley.DESIRED_STATE,
+            copley.CANOPEN_MODE,
+            0,
+            f"let it be commanded by CANopen, {self._access.objects.name(copley.DESIRED_STATE)}",
+            "it would ignore commands of motion",
+        )
         write(epos2.MODES_OF_OPERATION, copley.MODE_PROFILE_POSITION)
-        write(epos2.SOFTWARE_POSITION_LIMIT, s.min_position_qc, 1)
-        write(epos2.SOFTWARE_POSITION_LIMIT, s.max_position_qc, 2)
+        limits = f"check axes.{s.joint}.min_position and axes.{s.joint}.max_position"
+        write(epos2.SOFTWARE_POSITION_LIMIT, s.min_position_qc, 1, check=limits)
+        write(epos2.SOFTWARE_POSITION_LIMIT, s.max_position_qc, 2, check=limits)
+        write(
+            copley.TRACKING_ERROR_DISTANCE,
+            s.max_following_error_qc,
+            check=f"check axes.{s.joint}.max_following_error",
+        )
         if s.stop_deceleration_counts_s2 is not None:
             stop = max(1, round(s.stop_deceleration_counts_s2 / copley.ACCELERATION_UNIT_COUNTS_S2))
-            write(epos2.QUICK_STOP_DECELERATION, stop)
+            check = f"check axes.{s.joint}.stop_deceleration"
+            write(epos2.QUICK_STOP_DECELERATION, stop, check=check)
+
+    def _check_units(self) -> None:
+        """Newer firmware has factors between counts and its units; older has none of them.
+
+        A position is counts times feed constant over encoder resolution and gear ratio.
+        """
+        objects, factor = self._access.objects, Fraction(1)
+        told = []
+        for index, inverse in (
+            (copley.ENCODER_RESOLUTION, True),
+            (copley.GEAR_RATIO, True),
+            (copley.FEED_CONSTANT, False),
+        ):
+            above, below = objects.find(index, 1), objects.find(index, 2)
+            if above is None or below is None:
+                continue
+            told.append(f"{objects.name(index)} is {above}/{below}")
+            if not above or not below:
+                factor = Fraction(0)
+            else:
+                factor *= Fraction(below, above) if inverse else Fraction(above, below)
+        if factor != 1:
+            raise DriveError(
+                f"{self._access} does not count in counts of its encoder: {', '.join(told)}; set "
+                "them all to 1/1 with Copley's CME and store them"
+            )
+
+    def _clear_faults(self) -> None:
+        """Latched faults stay until ones are written, and no fault reset helps before."""
+        objects = self._access.objects
+        faults = objects.read(copley.LATCHED_FAULTS)
+        if not faults:
+            return
+        attempt = f"clear its latched faults, {objects.name(copley.LATCHED_FAULTS)}"
+        objects.write(copley.LATCHED_FAULTS, faults, 0, attempt)
+        if left := objects.read(copley.LATCHED_FAULTS) & faults:
+            raise DriveError(
+                f"{self._access} keeps latched faults: {copley.describe_faults(left)}; put right "
+                "what they say, then switch it off and on again"
+            )

@@ -46,7 +46,7 @@ class Network(canopen.Network):
         self._send_frame = send
 
     def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
-        self._send_frame(Frame(can_id, bytes(data)))
+        self._send_frame(Frame(can_id, bytes(data), remote))
 
 
 class Link:
@@ -159,7 +159,11 @@ class Link:
 
     def _hand_over(self, frame: Frame) -> bool:
         message = can.Message(
-            arbitration_id=frame.can_id, data=frame.data, is_extended_id=False, check=False
+            arbitration_id=frame.can_id,
+            data=None if frame.remote else frame.data,
+            is_remote_frame=frame.remote,
+            is_extended_id=False,
+            check=False,
         )
         try:
             self._bus.send(message)
@@ -204,13 +208,16 @@ class Link:
                 self._post(partial(self._nothing_until, began_us))
 
     def _on_message(self, message: can.Message, began_us: float) -> None:
-        frame = Frame(message.arbitration_id, bytes(message.data))
+        frame = Frame(message.arbitration_id, bytes(message.data), message.is_remote_frame)
         t_us = self.clock.host_us(message.timestamp)
-        if kind := _unused(message):
-            self._post(partial(self._on_other, kind, *frame, t_us))
+        kind = _unused(message)
+        if kind == "remote":
+            self._post(partial(self._take_request, frame, t_us))
+        elif kind:
+            self._post(partial(self._on_other, kind, frame.can_id, frame.data, t_us))
             self._post(partial(self._nothing_until, began_us))
             if kind == "error":
-                self._post(partial(self._take_error, *frame))
+                self._post(partial(self._take_error, frame.can_id, frame.data))
             elif message.is_rx:  # else it is ours
                 self._reject(f"{kind} frame", f"{kind} frame 0x{frame.can_id:03X}")
         else:
@@ -241,10 +248,21 @@ class Link:
         if accepted:
             self._on_frame(frame, t_us, echo)
         else:
-            self._on_other("dropped", *frame, t_us)
+            self._on_other("dropped", frame.can_id, frame.data, t_us)
         self.pump()
         if accepted and not echo and frame.can_id & 0x780 == SDO_RESPONSE:
             self.network.notify(frame.can_id, bytearray(frame.data), t_us / 1e6)
+
+    def _take_request(self, frame: Frame, t_us: float) -> None:
+        """A remote frame: one of ours, which guards a drive, or somebody else's."""
+        self._heard_us = max(self._heard_us, t_us)
+        self._count(frame, t_us)
+        if self._transmitter.echoes and self._transmitter.on_echo(frame):
+            self._on_other("request", frame.can_id, b"", t_us)
+        else:
+            self._on_other("remote", frame.can_id, b"", t_us)
+            self._reject("remote frame", f"remote frame 0x{frame.can_id:03X}")
+        self.pump()
 
     def _take_error(self, classes: int, data: bytes) -> None:
         self.health.on_error_frame(classes, data)

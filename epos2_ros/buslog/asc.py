@@ -80,8 +80,9 @@ def other_line(t_s: float, kind: str, can_id: int, data: bytes) -> str:
     """A frame that is not of CANopen as the driver speaks it."""
     if kind == "error":
         return f"{t_s:.9f} {CHANNEL}  ErrorFrame\n"
-    if kind == "remote":
-        return f"{t_s:.9f} {CHANNEL}  {can_id:<15X} Rx   r 0\n"
+    if kind in ("remote", "request"):  # somebody else's, our own
+        way = "Tx" if kind == "request" else "Rx"
+        return f"{t_s:.9f} {CHANNEL}  {can_id:<15X} {way}   r 0\n"
     number = f"{can_id:X}x"
     return f"{t_s:.9f} {CHANNEL}  {number:<15} Rx   d {len(data):x} {data.hex(' ').upper()}\n"
 

@@ -43,7 +43,7 @@ class Heard:
 
     def take(self, frame: Frame, t_us: float) -> None:
         """Sort a frame by the predefined connection set (CiA 301, 7.3.5)."""
-        can_id, data = frame
+        can_id, data, _ = frame
         function, node_id = can_id & 0x780, can_id & 0x7F
         self.frames += 1
         if can_id == NMT:

@@ -47,7 +47,6 @@ UNIT_VELOCITY = 0x60A9
 MAX_DECELERATION = 0x60C6
 POSITIONING_OPTION = 0x60F2
 
-UNUSED_RPDOS, UNUSED_TPDOS = (1, 3), (4,)
 TENTH_DEGREES, RPM = 0xFF41_0000, 0x00B4_4700  # in 0x60A8 and 0x60A9, their presets
 RPM_FRACTION = (1, 60)  # in 0x2061 … 0x2064, their presets
 STAY_IN_QUICK_STOP = 6  # brakes by 0x6085
@@ -101,4 +100,5 @@ FAMILY = Family(
     home_objects=home_objects,
     homing_methods=homing_methods.STANDARD,
     has_clock=False,
+    life_guarding=True,
 )

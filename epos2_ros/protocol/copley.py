@@ -12,6 +12,10 @@ not in Copley, "Setting outputs at position", whose objects are in `copley_compa
 | TPDO2 | 280+id | synchronous (1)   | position actual, velocity actual             |
 
 The numbers are those of the EPOS2's PDOs with the same content.
+
+The maker's dictionary (its EDS of 2016) has no 0x1016: the drive watches the host by life guarding.
+It has eight PDOs each way with at most four objects, and no inhibit time. Newer firmware scales all
+units by the factor groups 0x608F, 0x6091 and 0x6092.
 """
 
 from __future__ import annotations
@@ -22,6 +26,32 @@ from epos2_ros.protocol.pdo import ASYNCHRONOUS, SYNCHRONOUS, PdoMapping
 
 VENDOR_ID = 0x000000AB
 MODE_PROFILE_POSITION = 1
+
+TRACKING_ERROR_DISTANCE = 0x2120  # of the following error, a fault; 0x6065 only warns
+LATCHED_FAULTS = 0x2183  # ones clear them
+DESIRED_STATE = 0x2300
+CANOPEN_MODE = 30  # of 0x2300: motion is commanded by CANopen; in others commands are ignored
+ENCODER_RESOLUTION, GEAR_RATIO, FEED_CONSTANT = 0x608F, 0x6091, 0x6092
+MAX_SPEED = 500_000_000  # of 0x6081 [0.1 counts/s]
+FAULTS = {
+    0: "memory",
+    1: "A/D converter",
+    2: "short circuit",
+    3: "amplifier over-temperature",
+    4: "motor over-temperature",
+    5: "over-voltage",
+    6: "under-voltage",
+    7: "feedback",
+    8: "phasing",
+    9: "following error",
+    10: "current limited",
+    11: "FPGA",
+    12: "command input lost",
+    13: "FPGA",
+    14: "safety circuit",
+    15: "current can't be controlled",
+}
+"""Bits of 0x2183, by public descriptions of Copley's drives."""
 
 VELOCITY_UNIT_COUNTS_S = 0.1
 ACCELERATION_UNIT_COUNTS_S2 = 10.0
@@ -57,4 +87,12 @@ FAMILY = Family(
     home_objects=lambda position_qc, back_off_qc: (),
     homing_methods={},  # not offered yet
     has_clock=False,
+    life_guarding=True,
+    pdos=8,
 )
+
+
+def describe_faults(bits: int) -> str:
+    """0x2183 in words, with the number for the manual."""
+    words = [word for bit, word in FAULTS.items() if bits >> bit & 1]
+    return f"{', '.join(words) or 'unknown fault'} (0x{bits:08X})"

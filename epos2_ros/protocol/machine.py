@@ -51,6 +51,7 @@ class Machine:
             self.out.frames,
             by_joint.get(config.sync_source),
             by_joint.get(config.sync_producer),
+            [drive for drive in self.drives if drive.family.life_guarding],
         )
         self.path_time = PathTime(self.time.clock, config.sync_source == "host")
         followers = [axis for axis in config.axes if axis.drive == epos2.FAMILY.key]

@@ -45,7 +45,8 @@ class Timekeeper:
     """Keeps the clocks of `drives` together; puts its frames into `outbox`. Times are host µs.
 
     `master`: the drive that is the clock master; None: the host. `producer`: the one that sends
-    SYNC; None: the host. `answering`: how many drives answer a SYNC.
+    SYNC; None: the host. `answering`: how many drives answer a SYNC. `guarded`: those that watch
+    the host by life guarding, and have to be asked with each of its heartbeats.
     """
 
     def __init__(
@@ -56,7 +57,9 @@ class Timekeeper:
         outbox: deque[Frame],
         master: Drive | None = None,
         producer: Drive | None = None,
+        guarded: Sequence[Drive] = (),
     ) -> None:
+        self._guarded = [drive.node_id for drive in guarded]
         self.drives = tuple(drives)
         self.period_us = period_us
         self.producer = producer
@@ -158,6 +161,8 @@ class Timekeeper:
             self._correct(slow, now_us)
         if now_us >= self._heartbeat_due_us:
             self._outbox.append(Frame(epos2.HEARTBEAT + HOST_NODE_ID, OPERATIONAL))
+            for node_id in self._guarded:
+                self._outbox.append(Frame(epos2.HEARTBEAT + node_id, remote=True))
             self._heartbeat_due_us = now_us + HEARTBEAT_PERIOD_US
         if may_sync and self.clear and now_us >= self._sync_due_us:
             self.sync(now_us)

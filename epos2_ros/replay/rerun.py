@@ -154,7 +154,7 @@ class Rerun:
         group, out = self._group, self._machine.out
         while out.frames:
             frame = out.frames.popleft()
-            if self._bus_works:
+            if self._bus_works and not frame.remote:
                 self._expected.setdefault(frame.can_id, deque()).append((t_s, frame.data))
         out.requests.clear()  # the log has the answers
         while out.events:

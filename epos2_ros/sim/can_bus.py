@@ -79,6 +79,10 @@ def frame_bits(can_id: int, data: bytes) -> int:
     return length + stuffed + _TAIL_BITS
 
 
+class Remote(bytes):
+    """In place of its data: a remote frame, which has none."""
+
+
 class SimulatedBus:
     """Drives and one host on a bus.
 
@@ -116,11 +120,14 @@ class SimulatedBus:
         """Connects a drive."""
         self.drives.append(drive)
 
-    def host_send(self, can_id: int, data: bytes) -> None:
-        """Puts a frame of the host into its queue. Raises `TransmitQueueFull`."""
+    def host_send(self, can_id: int, data: bytes, remote: bool = False) -> None:
+        """Puts a frame of the host into its queue, a remote frame if so.
+
+        Raises `TransmitQueueFull`.
+        """
         if self.host_queue is not None and len(self._host) >= self.host_queue:
             raise TransmitQueueFull(f"transmit queue full ({self.host_queue} frames)")
-        self._host.append((can_id, data))
+        self._host.append((can_id, Remote() if remote else data))
 
     @property
     def host_pending(self) -> int:
@@ -219,7 +226,7 @@ class SimulatedBus:
         for place, drive in enumerate(self.drives):
             if drive.node_id == source:
                 drive.transmitted(can_id, t_us)
-            elif not drive.receive(can_id, data, t_us):
+            elif not drive.receive(can_id, data, t_us, isinstance(data, Remote)):
                 continue
             self._look_at(place)
         seen_us = t_us

@@ -34,7 +34,7 @@ from .dictionary import (
 from .homing import ACTUAL_POSITION, Search, Switches, plan
 from .motor import Motor
 from .ramps import Limits
-from .slave import HEARTBEAT, HEARTBEAT_ERROR, INF, SYNC_PRODUCER, Identity, NmtState, Slave
+from .slave import HEARTBEAT, HEARTBEAT_ERROR, INF, SYNC_PRODUCER, Identity, Slave
 
 NANOTEC = 0x0000_026C
 FOLLOWING_ERROR = 0x8611
@@ -168,8 +168,7 @@ class Cl3e(Slave):
         self._cycle = self._profile_start = 0
         self.started_us = t_us  # when the last profile began
         self.arrived_us = -math.inf  # when the demand was last at a target
-        self._mode_us = self._guard_us = INF
-        self._toggle = 0
+        self._alarm_us = INF
         super().__init__(node_id, identity, t_us, boot_ms)
         self.outbox.appendleft((HEARTBEAT + node_id, bytes(1)))  # the boot loader's
         self.rate = 1.0 + drift_ppm * 1e-6
@@ -298,9 +297,6 @@ class Cl3e(Slave):
         entry.write = self._load
         for n in range(6, 9):
             od[0x1003, n].read = partial(self._past_error, n - 1)
-        self._guard_time, self._life_factor = od[0x100C, 0], od[0x100D, 0]
-        for entry in (self._guard_time, self._life_factor):
-            entry.write = self._on_guarding
 
     def _bind_motion(self) -> None:
         od = self.dictionary
@@ -401,44 +397,9 @@ class Cl3e(Slave):
         self._send(HEARTBEAT + self.node_id, bytes(1))
         super()._reset_node()
 
-    def _reset_communication(self) -> None:
-        super()._reset_communication()
-        self._toggle, self._guard_us = 0, INF
-
-    def _reconfigure(self) -> None:
-        super()._reconfigure()
-        if self.nmt_state is not NmtState.INITIALISING:
-            self._handlers[HEARTBEAT + self.node_id] = lambda _: None  # asked for by RTR
-
-    def _remote_request(self, can_id: int) -> None:
-        """Node guarding (CiA 301, 7.2.8.2.2.1); where a heartbeat is produced, that replaces it."""
-        if can_id != HEARTBEAT + self.node_id:
-            super()._remote_request(can_id)
-        elif not self._heartbeat_ms.value:
-            self._send(can_id, bytes([self._toggle | self.nmt_state]))
-            self._toggle ^= 0x80
-            life_ms = self._guard_time.value * self._life_factor.value
-            self._guard_us = self.received_us + 1000.0 * life_ms / self.rate if life_ms else INF
-            self._set_alarm()
-
-    def _on_guarding(self, _: int) -> None:
-        """It watches the host again from the next request on."""
-        self._guard_us = INF
-        self._set_alarm()
-
-    def _set_alarm(self) -> None:
-        self._alarm_us = min(self._mode_us, self._guard_us)
-
     def _on_alarm(self) -> None:
-        now = self.now_us
-        if self._mode_us <= now:
-            self._mode_us = INF
-            self._enter_mode()
-        if self._guard_us <= now:
-            self._guard_us = INF
-            if not self._heartbeat_ms.value:
-                self._on_communication_error(LIFE_GUARD_ERROR)
-        self._set_alarm()
+        self._alarm_us = INF
+        self._enter_mode()
 
     def _on_communication_error(self, code: int) -> None:
         self._fault(code)
@@ -449,7 +410,7 @@ class Cl3e(Slave):
         self.state = State.SWITCH_ON_DISABLED
         self._word = 0
         self._mode = self._value(0x6060)
-        self._mode_us = self._guard_us = INF
+        self._alarm_us = INF
         self._following_error = False
         self._target: int | None = None  # the last one, absolute
         self._reached = False
@@ -545,8 +506,7 @@ class Cl3e(Slave):
     # --- profile position mode (the chapter) --------------------------------------------
 
     def _on_mode(self, value: int) -> None:
-        self._mode_us = self.now_us + 1000.0 * MODE_MS / self.rate
-        self._set_alarm()
+        self._alarm_us = self.now_us + 1000.0 * MODE_MS / self.rate
 
     def _enter_mode(self) -> None:
         mode = self._value(0x6060)

@@ -9,7 +9,7 @@ objects). Internally positions are in counts, time in ms, velocity in counts/ms.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from enum import Enum
 from functools import partial
 
@@ -28,15 +28,33 @@ from .dictionary import (
     SdoAbort,
     check_signature,
 )
+from .maker_table import PdoRow
 from .profile import Profile, stop, trapezoid
 from .sdo import SdoServer
-from .slave import INF, Identity, Slave
+from .slave import INF, Identity, Pdos, Slave
 
 COPLEY_CONTROLS = 0x0000_00AB
 LOOP_US = 250.0  # 4 kHz (the note, "Position extrapolation")
 NUMBER_OF_OUTPUTS = 8
 TRACE_WORDS = 8192
 PROFILE_POSITION = 1
+CANOPEN_MODE = 30  # of 0x2300
+FOLLOWING_ERROR, FOLLOWING_ERROR_BIT = 0x8611, 9
+MAX_SPEED = 500_000_000
+PDOS = Pdos(number=8, entries=4, inhibits=False)
+# From the factory, by its EDS; the others are off.
+RPDOS = (
+    PdoRow(0x200, (0x6040_0010,)),
+    PdoRow(0x300, (0x6040_0010, 0x6060_0008)),
+    PdoRow(0x400, (0x6040_0010, 0x607A_0020)),
+    PdoRow(0x500, (0x6040_0010, 0x60FF_0020)),
+)
+TPDOS = (
+    PdoRow(0x180, (0x6041_0010,)),
+    PdoRow(0x280, (0x6041_0010, 0x6061_0008)),
+    PdoRow(0x380, (0x6041_0010, 0x6064_0020)),
+    PdoRow(0x480, (0x6041_0010, 0x606C_0020)),
+)
 
 VELOCITY_UNIT = 0.1e-3  # 0.1 counts/s [counts/ms]
 ACCELERATION_UNIT = 10e-6  # 10 counts/s² [counts/ms²]
@@ -98,6 +116,8 @@ class Copley(Slave):
     count_offset: the encoder says floor(position + count_offset)
     lag_ms:       time constant with which the axis follows the commanded position; 0: none
     drift_ppm:    of its clock against true time
+    factors:      newer firmware's 0x608F, 0x6091 and 0x6092, as (value, value); older has none
+    stuck_faults: bits of 0x2183 that come back when they are cleared
     """
 
     def __init__(
@@ -111,9 +131,15 @@ class Copley(Slave):
         drift_ppm: float = 0.0,
         serial: int = 1,
         t_us: float = 0.0,
+        factors: Mapping[int, tuple[int, int]] | None = None,
+        stuck_faults: int = 0,
+        boot_ms: float = 0.0,
     ) -> None:
+        self._factors = factors or {}
+        self._stuck_faults = stuck_faults
+        self.faults = stuck_faults  # 0x2183
         identity = Identity(
-            device_type=0x0002_0192,
+            device_type=0x0007_0192,
             vendor_id=COPLEY_CONTROLS,
             product_code=0x0000_0380,
             revision=0x0001_0028,  # firmware 1.40, the first with a compare module
@@ -136,7 +162,7 @@ class Copley(Slave):
         self._profile: Profile | None = None
         self._profile_us = 0.0  # when it began
         self.arrived_us = -math.inf  # when the last profile was over
-        super().__init__(node_id, identity, t_us)
+        super().__init__(node_id, identity, t_us, boot_ms, pdos=PDOS)
         self.rate = 1.0 + drift_ppm * 1e-6
         self._build_objects()
         self._sdo = SdoServer(_WithTraceData(self.dictionary, self.trace))
@@ -208,25 +234,80 @@ class Copley(Slave):
         )
         for index, name, read in (
             (0x6062, "Position demand value", lambda: round(self._commanded)),
-            (0x6064, "Position actual value", lambda: self.position_actual),
             (0x606C, "Velocity actual value", lambda: round(self._velocity / VELOCITY_UNIT)),
         ):
             od.variable(index, Entry(name, INTEGER32, "ro", mappable=True, read=read, fast=True))
+        od.variable(
+            0x6064,
+            mapped(
+                "Position actual value",
+                INTEGER32,
+                read=lambda: self.position_actual,
+                check=self._check_position,
+                fast=True,
+            ),
+        )
         self._target = od.variable(0x607A, mapped("Target position", INTEGER32))
         self._limits = (
-            Entry("Min position limit", INTEGER32, value=INTEGER32.low),
-            Entry("Max position limit", INTEGER32, value=INTEGER32.high),
+            mapped("Min position limit", INTEGER32, value=INTEGER32.low),
+            mapped("Max position limit", INTEGER32, value=INTEGER32.high),
         )
         od.record(0x607D, *self._limits)
-        unsigned = partial(Entry, type=UNSIGNED32, low=1, mappable=True)
-        self._speed = od.variable(0x6081, unsigned("Profile velocity", value=1_000_000))
-        self._acceleration = od.variable(0x6083, unsigned("Profile acceleration", value=100_000))
-        self._deceleration = od.variable(0x6084, unsigned("Profile deceleration", value=100_000))
-        self._quick_stop = od.variable(0x6085, unsigned("Quick stop deceleration", value=1_000_000))
-        od.variable(0x6086, Entry("Motion profile type", INTEGER16, low=0, high=0))
-        od.variable(0x6502, Entry("Supported drive modes", UNSIGNED32, "ro", 1))
+        positive = partial(Entry, type=INTEGER32, low=1, mappable=True)
+        self._speed = od.variable(
+            0x6081,
+            mapped("Profile velocity", INTEGER32, value=1_000_000, low=0, high=MAX_SPEED),
+        )
+        self._acceleration = od.variable(0x6083, positive("Profile acceleration", value=100_000))
+        self._deceleration = od.variable(0x6084, positive("Profile deceleration", value=100_000))
+        self._quick_stop = od.variable(0x6085, positive("Quick stop deceleration", value=1_000_000))
+        od.variable(0x6086, mapped("Motion profile type", INTEGER16, low=0, high=0))
+        od.variable(0x6502, Entry("Supported drive modes", UNSIGNED32, "ro", 1005))
+        od.variable(0x60FF, mapped("Target velocity", INTEGER32))
+        self._tracking_error = od.variable(
+            0x2120, mapped("Tracking error distance", INTEGER32, value=4000, low=0)
+        )
+        od.variable(0x6065, mapped("Tracking warning distance", INTEGER32, value=2000))
+        od.variable(
+            0x2183,
+            mapped(
+                "Latching faults", UNSIGNED32, read=lambda: self.faults, write=self._clear_faults
+            ),
+        )
+        self._desired_state = od.variable(
+            0x2300, mapped("Desired amplifier state", UNSIGNED16, value=CANOPEN_MODE)
+        )
+        for index, values in self._factors.items():
+            od.record(index, *(Entry("Factor", UNSIGNED32, value=value) for value in values))
+        self._keep_makers_objects()
         self._build_outputs()
         self._build_storing()
+
+    def _keep_makers_objects(self) -> None:
+        """What other drives have is not there: 0x1012 and 0x1016; and its PDOs from the factory."""
+        od, node = self.dictionary, self.node_id
+        od.keep({key for key, _ in od.items() if key[0] not in (0x1012, 0x1016)})
+        for number, pdo in enumerate((*self.rpdos, *self.tpdos)):
+            pdo.types = range(256)
+            kinds, place = (RPDOS, number) if number < PDOS.number else (TPDOS, number - 8)
+            if place < len(kinds):
+                factory = kinds[place]
+                pdo.preset(factory.cob_id + node, factory.mapping)
+                pdo.transmission.preset(0 if kinds is TPDOS and place >= 2 else 255)
+        self._reconfigure()
+
+    def _clear_faults(self, ones: int) -> None:
+        self.faults = self.faults & ~ones | self._stuck_faults
+
+    def _latch(self, fault: int, code: int) -> None:
+        """A fault that stays until its bit in 0x2183 is cleared."""
+        self.faults |= 1 << fault
+        self._on_communication_error(code)
+
+    @staticmethod
+    def _check_position(value: int) -> None:
+        """To set the position is not simulated."""
+        raise SdoAbort(AbortCode.DEVICE_STATE)
 
     def _build_storing(self) -> None:
         """0x1010; its EDS has no 0x1011, so there is no way back but the maker's tool."""
@@ -259,6 +340,7 @@ class Copley(Slave):
                 Entry(
                     f"Output {n} configuration",
                     OUTPUT_BYTES,
+                    mappable=True,
                     check=self._check_output,
                     write=partial(self._on_output, pin),
                 )
@@ -311,6 +393,7 @@ class Copley(Slave):
             0x250A,
             "Reserved trace memory",
             type=UNSIGNED16,
+            mappable=True,
             high=trace.size,
             read=lambda: trace.reserved,
             write=trace.reserve,
@@ -319,6 +402,7 @@ class Copley(Slave):
             0x250B,
             "Offset into the reserved trace memory",
             type=UNSIGNED16,
+            mappable=True,
             read=lambda: trace.offset,
             write=lambda new: setattr(trace, "offset", new),
         )
@@ -342,7 +426,7 @@ class Copley(Slave):
     # --- state machine (CiA 402) --------------------------------------------------------
 
     def _reset_application(self) -> None:
-        self.state = State.SWITCH_ON_DISABLED
+        self.state = State.FAULT if self.faults else State.SWITCH_ON_DISABLED
         self._word = 0
         self._acknowledged = False
         self._setpoint: int | None = None
@@ -358,7 +442,7 @@ class Copley(Slave):
     def _on_controlword(self, word: int) -> None:
         last, self._word = self._word, word
         if self.state is State.FAULT:
-            if word & ~last & Control.FAULT_RESET:
+            if word & ~last & Control.FAULT_RESET and not self.faults:
                 self.state = State.SWITCH_ON_DISABLED
                 self.clear_emergency()
         elif not word & Control.ENABLE_VOLTAGE:
@@ -414,7 +498,8 @@ class Copley(Slave):
                 self._decelerate(self._deceleration)
             elif self._setpoint is not None:
                 self._go_to(self._setpoint)
-        if word & ~last & Control.NEW_SETPOINT and not self._acknowledged:
+        commanded = self._desired_state.value == CANOPEN_MODE  # else it ignores set-points
+        if word & ~last & Control.NEW_SETPOINT and not self._acknowledged and commanded:
             self._take_setpoint(word)
         if not word & Control.NEW_SETPOINT and self._next_setpoint is None:
             self._acknowledged = False
@@ -508,6 +593,8 @@ class Copley(Slave):
         else:
             self._shaft = self._commanded
         self._velocity = velocity
+        if abs(self._commanded - self._shaft) > self._tracking_error.value:
+            self._latch(FOLLOWING_ERROR_BIT, FOLLOWING_ERROR)
         profile = self._profile
         if profile is not None:
             elapsed_ms = (self.now_us - self._profile_us) / 1000 * self.rate

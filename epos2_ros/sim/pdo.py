@@ -25,7 +25,9 @@ INVALID = 1 << 31
 NO_REMOTE = 1 << 30
 EXTENDED = 1 << 29
 MAX_ENTRIES = 8
+PREDEFINED = 4  # PDOs each way have an identifier of the predefined connection set (7.3.5)
 
+ACYCLIC = 0  # at a SYNC, if anything has changed
 REMOTE_REQUEST = 253
 MAX_SYNCHRONOUS = 240
 _ID_BITS = 0x1FFF_FFFF
@@ -55,6 +57,7 @@ class Pdo:
         default_can_id: int,
         dictionary: ObjectDictionary,
         changed: Callable[[], None],
+        entries: int,
     ) -> None:
         self._dictionary = dictionary
         self._changed = changed
@@ -63,13 +66,13 @@ class Pdo:
         self.transmission = Entry("Transmission type", UNSIGNED8, value=255)
         self.transmission.check = self._check_transmission
         self.transmission.write = self._on_configured
-        self.count = Entry("Number of mapped objects", UNSIGNED8, low=0, high=MAX_ENTRIES)
+        self.count = Entry("Number of mapped objects", UNSIGNED8, low=0, high=entries)
         self.count.check, self.count.write = self._check_count, self._on_count
         self.slots = [
             Entry(f"Mapped object {n}", UNSIGNED32, check=self._check_slot)
-            for n in range(1, MAX_ENTRIES + 1)
+            for n in range(1, entries + 1)
         ]
-        self.types: Container[int] = range(256)  # that this device has, of those that exist
+        self.types: Container[int] = range(1, 256)  # that this device has, of those that exist
         self.entries: list[Entry] = []  # what the mapping stands for
         self.fast = False  # one of them may change in any control cycle
         dictionary.record(
@@ -134,7 +137,7 @@ class Pdo:
 
     def _exists(self, transmission: int) -> bool:
         """Whether the direction has this transmission type (CiA 301, 7.5.2.35 and 7.5.2.37)."""
-        return 1 <= transmission <= MAX_SYNCHRONOUS or transmission in (254, 255)
+        return 0 <= transmission <= MAX_SYNCHRONOUS or transmission in (254, 255)
 
     def _check_slot(self, value: int) -> None:
         if self.valid or self.count.value != 0:
@@ -172,8 +175,10 @@ class ReceivePdo(Pdo):
         node_id: int,
         dictionary: ObjectDictionary,
         changed: Callable[[], None],
+        entries: int = MAX_ENTRIES,
     ) -> None:
-        super().__init__(0x13FF + number, 0x100 + 0x100 * number + node_id, dictionary, changed)
+        can_id = 0x100 + 0x100 * number + node_id if number <= PREDEFINED else 0
+        super().__init__(0x13FF + number, can_id, dictionary, changed, entries)
         self._waiting: bytes | None = None
 
     def _fits(self, entry: Entry) -> bool:
@@ -216,8 +221,12 @@ class TransmitPdo(Pdo):
         node_id: int,
         dictionary: ObjectDictionary,
         changed: Callable[[], None],
+        entries: int = MAX_ENTRIES,
+        inhibits: bool = True,
     ) -> None:
-        super().__init__(0x17FF + number, 0x080 + 0x100 * number + node_id, dictionary, changed)
+        self._inhibits = inhibits
+        can_id = 0x080 + 0x100 * number + node_id if number <= PREDEFINED else 0
+        super().__init__(0x17FF + number, can_id, dictionary, changed, entries)
         self.ready_us = -math.inf  # the inhibit time is over
         self.waiting = False  # for that, with something to say
         self.sent: bytes | None = None
@@ -225,7 +234,7 @@ class TransmitPdo(Pdo):
 
     def _more_communication(self) -> tuple[Entry, ...]:
         self.inhibit = Entry("Inhibit time", UNSIGNED16, check=self._check_inhibit)
-        return (self.inhibit,)
+        return (self.inhibit,) if self._inhibits else ()
 
     def _fits(self, entry: Entry) -> bool:
         return entry.access not in ("rww", "wo")
@@ -252,7 +261,11 @@ class TransmitPdo(Pdo):
         return b"".join(entry.pack() for entry in self.entries)
 
     def on_sync(self) -> bool:
-        """Counts a SYNC; `True` if it is the n-th."""
+        """Counts a SYNC; `True` if it is the n-th, or something has changed since the last."""
+        if self.transmission.value == ACYCLIC:
+            data, before = self.sample(), self.sent
+            self.sent = data
+            return data != before
         self._syncs += 1
         if self._syncs < self.transmission.value:
             return False

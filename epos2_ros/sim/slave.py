@@ -14,6 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import partial
+from typing import NamedTuple
 
 from .dictionary import (
     UNSIGNED8,
@@ -25,18 +26,25 @@ from .dictionary import (
     ObjectDictionary,
     SdoAbort,
 )
-from .pdo import ReceivePdo, TransmitPdo
+from .pdo import MAX_ENTRIES, ReceivePdo, TransmitPdo
 from .sdo import SdoServer
 
 INF = math.inf
 NMT, SYNC, EMCY, TIME = 0x000, 0x080, 0x080, 0x100
 SDO_RESPONSE, SDO_REQUEST, HEARTBEAT = 0x580, 0x600, 0x700
 SYNC_PRODUCER = 1 << 30
-NUMBER_OF_PDOS = 4
 HISTORY = 5
 HEARTBEAT_ERROR = 0x8130
 PDO_LENGTH_ERROR = 0x8210
 _ROUNDING_US = 0.01  # of times added up in different ways
+
+
+class Pdos(NamedTuple):
+    """What a device's PDOs can do."""
+
+    number: int = 4  # each way
+    entries: int = MAX_ENTRIES
+    inhibits: bool = True
 
 
 class NmtState(IntEnum):
@@ -88,6 +96,7 @@ class Slave:
     It overrides the hooks `_tick` (with `_tick_us`, when it is due), `_on_alarm` (`_alarm_us`),
     `_on_sync`, `_on_time`, `_on_communication_error`, `_reset_application`.
 
+    pdos:          what its PDOs can do
     boot_ms:       from a reset or power-on to the boot-up message; the device is made booted
     frames_needed: of others, before it knows the bus's bit rate and starts up
     """
@@ -99,6 +108,7 @@ class Slave:
         t_us: float = 0.0,
         boot_ms: float = 0.0,
         frames_needed: int = 0,
+        pdos: Pdos = Pdos(),  # noqa: B008
     ) -> None:
         if not 1 <= node_id <= 127:
             raise ValueError(f"node id {node_id}: must be 1 … 127")
@@ -120,6 +130,8 @@ class Slave:
         self._sync_us = INF
         self._boot_us = INF  # when it has started up
         self._alarm_us = INF
+        self._guard_us = INF  # the host has to ask before, or it is lost
+        self._toggle = 0  # of the next answer to node guarding
         self._deadlines_us: dict[int, float] = {}  # of the heartbeats consumed
         self._dirty = False
         self._fast_ready_us = INF
@@ -129,12 +141,14 @@ class Slave:
         self._history: deque[int] = deque(maxlen=HISTORY)
         self._build_communication_objects(identity)
         self.rpdos = [
-            ReceivePdo(n, node_id, self.dictionary, self._reconfigure)
-            for n in range(1, NUMBER_OF_PDOS + 1)
+            ReceivePdo(n, node_id, self.dictionary, self._reconfigure, pdos.entries)
+            for n in range(1, pdos.number + 1)
         ]
         self.tpdos = [
-            TransmitPdo(n, node_id, self.dictionary, self._reconfigure)
-            for n in range(1, NUMBER_OF_PDOS + 1)
+            TransmitPdo(
+                n, node_id, self.dictionary, self._reconfigure, pdos.entries, pdos.inhibits
+            )
+            for n in range(1, pdos.number + 1)
         ]
         self._event_tpdos: list[TransmitPdo] = []
         if not frames_needed:
@@ -211,7 +225,7 @@ class Slave:
         self.powered = False
         self.outbox.clear()
         self.next_event_us = self._tick_us = self._timers_us = INF
-        self._alarm_us = self._boot_us = INF
+        self._alarm_us = self._boot_us = self._guard_us = INF
 
     def power_on(self, t_us: float) -> None:
         """Starts anew, with the parameters that are stored."""
@@ -326,6 +340,12 @@ class Slave:
             for n in (1, 2)
         ]
         od.record(0x1016, *self._consumers)
+        self._guard_ms = od.variable(
+            0x100C, Entry("Guard time", UNSIGNED16, write=self._on_guarding)
+        )
+        self._life_factor = od.variable(
+            0x100D, Entry("Life time factor", UNSIGNED8, write=self._on_guarding)
+        )
         self._heartbeat_ms = od.variable(
             0x1017, Entry("Producer heartbeat time", UNSIGNED16, write=self._on_heartbeat_time)
         )
@@ -380,6 +400,10 @@ class Slave:
     def _on_consumer(self, _: int) -> None:
         self._deadlines_us.clear()
         self._reconfigure()
+
+    def _on_guarding(self, _: int) -> None:
+        """It watches the host again from the next request on."""
+        self._guard_us = INF
 
     def _on_heartbeat_time(self, value: int) -> None:
         self._heartbeat_us = self.now_us if value else INF
@@ -458,7 +482,8 @@ class Slave:
         self._sdo.reset()
         self._deadlines_us.clear()
         self._heartbeat_us = self.now_us if self._heartbeat_ms.value else INF
-        self._sync_us = INF
+        self._sync_us = self._guard_us = INF
+        self._toggle = 0
         self._start_up()
 
     def _reconfigure(self) -> None:
@@ -468,6 +493,7 @@ class Slave:
         if self.nmt_state is NmtState.INITIALISING:
             return
         self._handlers[NMT] = self._on_nmt
+        self._handlers[HEARTBEAT + self.node_id] = lambda _: None  # asked for by remote frames
         if self._communicates:
             self._handlers[SDO_REQUEST + self.node_id] = self._on_sdo
             self._handlers[TIME] = lambda _: self._on_time()
@@ -510,9 +536,21 @@ class Slave:
                     rpdo.sync()
 
     def _remote_request(self, can_id: int) -> None:
+        if can_id == HEARTBEAT + self.node_id:
+            self._be_guarded()
+            return
         for tpdo in self.tpdos:
             if tpdo.valid and tpdo.can_id == can_id and self._operational:
                 self._send(can_id, tpdo.sample())
+
+    def _be_guarded(self) -> None:
+        """Node guarding (7.2.8.2.2.1); where a heartbeat is produced, that replaces it."""
+        if self._heartbeat_ms.value:
+            return
+        self._send(HEARTBEAT + self.node_id, bytes([self._toggle | self.nmt_state]))
+        self._toggle ^= 0x80
+        life_ms = self._guard_ms.value * self._life_factor.value
+        self._guard_us = self.received_us + 1000.0 * life_ms / self.rate if life_ms else INF
 
     # --- what goes out ------------------------------------------------------------------
 
@@ -556,6 +594,7 @@ class Slave:
             self._sync_us,
             self._boot_us,
             self._alarm_us,
+            self._guard_us,
             *self._deadlines_us.values(),
             *(tpdo.ready_us for tpdo in self._event_tpdos if tpdo.waiting),
         )
@@ -568,6 +607,10 @@ class Slave:
         if self._alarm_us <= now:
             self._alarm_us = INF
             self._on_alarm()
+        if self._guard_us <= now:
+            self._guard_us = INF
+            if not self._heartbeat_ms.value:
+                self._on_communication_error(HEARTBEAT_ERROR)
         if self._heartbeat_us <= now:
             if self.nmt_state is not NmtState.INITIALISING:  # there it is the boot-up message
                 self._send(HEARTBEAT + self.node_id, bytes([self.nmt_state]))
