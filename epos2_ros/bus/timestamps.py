@@ -17,8 +17,9 @@ from collections import deque
 
 WALL_CLOCK_TOLERANCE_US = 5e6
 REREAD_US = 100_000.0  # both clocks are slewed alike: only a step of the wall clock parts them
-STEP_US = 2_000.0  # what is less is how long it takes to read two clocks
-STEPS_KEPT = 4
+READ_US = 2_000.0  # reading two clocks takes less, unless one is interrupted
+STEP_US = 20_000.0  # what is less is no step worth to remember, but a reading that was disturbed
+FRAMES_AGE_US = 5e6  # no frame is on its way for so long
 UNDISTURBED_US = 5.0  # reading a clock before and after another takes less
 READINGS = 10
 EARLY_US = 1_000.0  # a frame is never seen before it was stamped, but for errors of the clocks
@@ -49,8 +50,9 @@ class ReceiveClock:
 
     def __init__(self) -> None:
         self.source = "estimate: time of the send call and frame length"
-        self._wall_offsets_us: deque[float] = deque(maxlen=STEPS_KEPT)  # host time minus wall clock
-        self._read_us = -math.inf  # when the last of them was read
+        self._wall_offset_us = math.inf  # host time minus wall clock …
+        self._read_us = -math.inf  # … when it was last read
+        self._before: deque[tuple[float, float]] = deque()  # steps: until when what was before them
         self._own_clock = OwnClock()
 
     def host_us(self, stamp_s: float) -> float:
@@ -61,8 +63,9 @@ class ReceiveClock:
             return now
         self._compare(now)
         stamp_us = stamp_s * 1e6
+        offsets = (self._wall_offset_us, *(offset for _, offset in self._before))
         latest = max(
-            (at for offset in self._wall_offsets_us if (at := stamp_us + offset) < now + EARLY_US),
+            (at for offset in offsets if (at := stamp_us + offset) < now + EARLY_US),
             default=-math.inf,
         )
         if latest > now - WALL_CLOCK_TOLERANCE_US:
@@ -73,14 +76,14 @@ class ReceiveClock:
 
     def _compare(self, now: float) -> None:
         """Read the wall clock anew where it was set, or was not read for long."""
-        last = self._wall_offsets_us[-1] if self._wall_offsets_us else math.inf
-        stepped = abs(now - time.time_ns() / 1000 - last) > STEP_US
-        if stepped or now > self._read_us + REREAD_US:
-            offset, self._read_us = wall_offset_us(), now
-            if abs(offset - last) > STEP_US:
-                self._wall_offsets_us.append(offset)
-            else:
-                self._wall_offsets_us[-1] = offset
+        last = self._wall_offset_us
+        parted = abs(now - time.time_ns() / 1000 - last) > READ_US
+        if parted or now > self._read_us + REREAD_US:
+            self._wall_offset_us, self._read_us = wall_offset_us(), now
+            if STEP_US < abs(self._wall_offset_us - last) < math.inf:
+                self._before.append((now + FRAMES_AGE_US, last))
+        while self._before and now > self._before[0][0]:
+            self._before.popleft()
 
 
 class OwnClock:

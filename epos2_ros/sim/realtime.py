@@ -29,7 +29,8 @@ _LONGEST_WAIT_S = 0.1  # for a frame, so that `stop` is noticed
 _OLDEST_STAMP_US = 1e6  # an older time stamp is of another clock
 _UNDISTURBED_US = 5.0  # reading three clocks takes less
 _CLOCK_READINGS = 10
-_STEP_US = 2_000.0  # reading them takes less
+_READ_US = 2_000.0  # reading them takes less
+_STEP_US = 20_000.0  # a reading that was disturbed is not off by so much
 _REREAD_US = 100_000.0  # the two clocks go alike; only a step of the wall clock parts them
 
 
@@ -157,7 +158,8 @@ class RealtimeSimulator:
         self._queue: deque[tuple[Slave, int, bytes]] = deque(maxlen=TRANSMIT_QUEUE)
         self._wall_offset_us = 0.0
         self._wall_read_us = -math.inf
-        self._offset_before_us = math.inf  # before the wall clock was set last
+        self._offset_before_us = math.inf  # before the wall clock was set last, a moment ago
+        self._stepped_us = -math.inf  # when that was
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="simulated drives", daemon=True)
 
@@ -225,11 +227,13 @@ class RealtimeSimulator:
         That clock may be set between the stamp and now: then it is one of before, or of after.
         """
         now = now_us()
-        stepped = abs(now - time.time_ns() / 1000 - self._wall_offset_us) > _STEP_US
-        if stepped or now > self._wall_read_us + _REREAD_US:
+        parted = abs(now - time.time_ns() / 1000 - self._wall_offset_us) > _READ_US
+        if parted or now > self._wall_read_us + _REREAD_US:
             offset, self._wall_read_us = wall_offset_us(), now
             if abs(offset - self._wall_offset_us) > _STEP_US:
-                self._offset_before_us = self._wall_offset_us
+                self._offset_before_us, self._stepped_us = self._wall_offset_us, now
+            elif now > self._stepped_us + _OLDEST_STAMP_US:
+                self._offset_before_us = math.inf
             self._wall_offset_us = offset
         offsets = self._wall_offset_us, self._offset_before_us
         times = [message.timestamp * 1e6 + offset for offset in offsets]
