@@ -157,6 +157,7 @@ def test_a_record_is_no_controlword_to_a_drive_that_has_restarted() -> None:
     made.run(1.0)
     assert made.drives[1].status_word & 0x6F == 0x40  # switch on disabled
     made.bring_up_drive(1)
+    made.group.start_clock(made.now_us, bytes(6))
     made.wait(made.group.reset_fault())
     made.enable()
 

@@ -245,7 +245,7 @@ def test_a_blocked_axis_leaves_its_path_and_all_stop_on_theirs():
     axes_ = tuple(replace(axis, max_following_error=10**9) for axis in AXES)
     bench = Bench(DriverConfig(axes=axes_), [Epos2(n) for n in (1, 2)])
     bench.enable()
-    client = Client(bench, [1.0, -1.0], 2.0, 0.0)
+    client = Client(bench, [1.0, -1.0], 3.0, 0.0)
     bench.run(0.7)
     bench.drives[0].block_rotor()
     where = bench.drives[0]._motor.position
