@@ -11,6 +11,7 @@ import pytest
 from two_processes import SCAN, Rig, rig
 
 from epos2_ros.bus import driver as bus_driver
+from epos2_ros.bus import reactor
 from epos2_ros.bus.link import Link
 from epos2_ros.bus.predictor import Predictor
 from epos2_ros.errors import BusError, DriveError
@@ -158,7 +159,7 @@ def test_when_not_even_stopping_works_the_drives_stop_by_themselves(
 def test_a_call_that_the_drivers_thread_does_not_get_to_says_so(
     made: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("epos2_ros.bus.reactor.CALL_TIMEOUT_S", 0.1)
+    monkeypatch.setattr(reactor, "CALL_TIMEOUT_S", 0.1)
     go_on = threading.Event()
     made.driver._reactor.post(lambda: go_on.wait(5.0) and None)
     with pytest.raises(BusError, match=r"busy for 0\.1 s"):
