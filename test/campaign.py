@@ -298,8 +298,6 @@ class Stage(Bench):
         self.wakes_us = -math.inf  # until when the host is busy elsewhere
         self.woke_us = -math.inf
         self.meddled_us: dict[int, float] = {}  # when a frame of or to a node was meddled with last
-        # By whose clock is one to say that the only one is off?
-        self.alone = sum(axis.family == "epos2" for axis in scenario.axes) == 1
         self._unheard: list[tuple[int, bytes, float, bool]] = []
         self._sleeping = False
         config = DriverConfig(
@@ -388,8 +386,7 @@ class Stage(Bench):
         self.director.at(self.now_us + delay_us, what)
 
     def meddled(self, node_id: int, can_id: int) -> None:
-        harmless = {0x200} if self.alone else {0x200, 0x400}  # it excuses nothing
-        if can_id & 0x780 not in harmless:
+        if can_id & 0x780 not in (0x200, 0x400):  # which excuse nothing
             self.meddled_us[node_id or can_id & 0x7F] = self.now_us
 
     def trouble(self, trouble: Trouble) -> Callable[[float], object]:
@@ -429,7 +426,6 @@ class Stage(Bench):
                     self.wakes_us = t_us + min(lasts_us, 3e6)
                 case "clock":
                     if isinstance(drive, Epos2):
-                        self.meddled(node if self.alone else -1, 0)
                         jump_us = self.chance.choice((-1, 1)) * 10 ** self.chance.uniform(2, 5)
                         drive._shift_path(jump_us)
                         drive.clock._offset_us += jump_us

@@ -110,10 +110,11 @@ def test_the_start_sequence_frame_by_frame():
     assert before[-6:] == [Frame(0x300 + n, b"\x1f\x00") for n in NODES]
     # Before that, records: at least three in every drive (3.6.3 asks for two besides the one in
     # execution), none of them the end record (time 0). And one more SYNC with its time stamps,
-    # for the clocks to be together.
+    # for the clocks to be together. First of all bit 4 is clear, or it could not rise.
     records = [f for f in before[:-6] if f.can_id & 0x780 == 0x200]
     others = [f.can_id for f in before[:-6] if f.can_id & 0x780 not in (0x200, 0x600)]
-    assert others == [0x080] + [0x400 + n for n in NODES]
+    assert others == [0x500 + n for n in NODES] + [0x080] + [0x400 + n for n in NODES]
+    assert all(f.data == b"\x0f\x00" for f in before if f.can_id & 0x780 == 0x500)
     for n in NODES:
         mine = [f.data for f in records if f.can_id == 0x200 + n]
         assert len(mine) >= 3

@@ -11,12 +11,13 @@ import random
 import re
 
 import pytest
-from simulated_time import SDO_PATIENCE_US, Bench
+from simulated_time import SDO_PATIENCE_US, Bench, axes
 from test_group import all_stand, bench, there_and_back
 
+from epos2_ros.config import DriverConfig
 from epos2_ros.errors import MotionAborted
 from epos2_ros.protocol.group import Phase
-from epos2_ros.sim.epos2 import Epos2
+from epos2_ros.sim.epos2 import Dictionary, Epos2
 
 HALT = b"\x1f\x01"
 NODES = range(1, 7)
@@ -25,7 +26,8 @@ BOOT_US = 262_000.0  # from reset to boot-up, in a trace of a real one
 
 def moving(after_s: float, made: Bench | None = None) -> Bench:
     made = made or bench()
-    made.path.submit(there_and_back(8.0), None, made.now_us)
+    trajectory = there_and_back(8.0, joints=len(made.drives))
+    made.path.submit(trajectory, None, made.now_us)
     made.motion = made.group.motion
     made.run(after_s)
     made.frames.clear()
@@ -157,6 +159,60 @@ def test_a_clock_that_jumps_in_motion_is_named(jump_us):
     reason = reason_of(made)
     assert reason.startswith("joint_4 (node 4): its clock is off by ")
     assert float(reason.split()[8]) == pytest.approx(jump_us / 1e3, abs=0.2)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+@pytest.mark.parametrize("producer", ["host", "joint_1"])
+@pytest.mark.parametrize("jump_us", [1.5e3, -1.5e3, 4e3, -4e3, -30e3])
+def test_the_jump_of_an_only_clock_is_not_taken_for_a_late_host(count, producer, jump_us):
+    made = moving(1.03, few(count, producer))
+    jumped_us = made.now_us
+    made.drives[0]._shift_path(jump_us)
+    made.drives[0].clock._offset_us += jump_us
+    made.run(0.15)
+    reason = reason_of(made)
+    assert reason.startswith("joint_1 (node 1): its clock is off by "), reason
+    assert float(reason.split()[8]) == pytest.approx(jump_us / 1e3, abs=0.6)
+    told_us = made.machine.path_time.start_us + float(reason.split(", ")[1].split()[0]) * 1e6
+    assert told_us - jumped_us < 101e3
+
+
+@pytest.mark.parametrize("count", [1, 2])
+@pytest.mark.parametrize("producer", ["host", "joint_1"])
+def test_a_host_that_is_late_again_and_again_blames_no_only_clock(count, producer):
+    """What has no time stamp of its own is stamped when the host gets to it."""
+    made = few(count, producer)
+    chance = random.Random(count)
+    made.stamp_us = lambda t_us: max(t_us, late_until(t_us))
+    late_until = Late(chance)
+    moving(0.0, made)
+    made.wait(made.motion)
+
+
+class Late:
+    """Again and again the host gets to nothing for a while."""
+
+    def __init__(self, chance: random.Random) -> None:
+        self._chance = chance
+        self._begins_us = self._ends_us = 0.0
+
+    def __call__(self, t_us: float) -> float:
+        while self._ends_us <= t_us:
+            self._begins_us = self._ends_us + self._chance.uniform(0, 150e3)
+            self._ends_us = self._begins_us + self._chance.uniform(1e3, 70e3)
+        return self._ends_us if self._begins_us <= t_us else t_us
+
+
+def few(count: int, producer: str = "host") -> Bench:
+    config = DriverConfig(axes=axes(count), sync_producer=producer)
+    drives = [
+        Epos2(n, offset_us=3e5 * n, drift_ppm=150.0 * (-1) ** n, dictionary=Dictionary.NOTE)
+        for n in range(1, count + 1)
+    ]
+    made = Bench(config, drives)
+    made.run(3.0)
+    made.enable()
+    return made
 
 
 def test_a_host_that_notices_one_sync_late_blames_no_clock():

@@ -73,6 +73,11 @@ class MasterClock:
         return self._sync_us + rate * (t_us - self._zero_us - self._sync_host_us)
 
     @property
+    def sync_us(self) -> float:
+        """Host time of the last SYNC, by the clocks of the drives that have answered it."""
+        return self._zero_us + self._sync_host_us
+
+    @property
     def settled(self) -> bool:
         """Whether the master's time no longer depends on when the host noticed a single SYNC."""
         return self._line is not None or not len(self.drift)

@@ -734,10 +734,20 @@ class Group:
             mode.begin()
         self._taking_part = {drive: mode for mode in self.modes for drive in mode.taking_part}
         for drive, mode in self._taking_part.items():
+            self._clear_start(drive)
             self._set_mode(drive, mode)
         self.time.before_path(max(self._now_us, (motion.start_us or -math.inf) - 2 * LEAD_US))
         if not self.out.unanswered:
             self._finish_switching()
+
+    def _clear_start(self, drive: Drive) -> None:
+        """Once more: where the last controlword was lost bit 4 is still set, and could not rise.
+
+        It is on the bus before any SDO request of ours (0x500 + id goes before 0x600 + id), and a
+        start waits for the answers to some.
+        """
+        halt = cia402.HALT if drive in self._held else 0
+        self.out.frames.append(drive.controlword(cia402.ENABLE_OPERATION | halt))
 
     def _finish_switching(self) -> None:
         if not self._unanswered():

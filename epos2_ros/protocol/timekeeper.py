@@ -70,6 +70,8 @@ class Timekeeper:
         self._answering = answering
         self._outbox = outbox
         self._last_sync_us = -math.inf
+        self._earliest_us = -math.inf  # it was not on the bus before
+        self._handed_over_us = -math.inf  # when the last of ours was
         self._sync_due_us = math.inf
         self._heartbeat_due_us = math.inf
         self._path_sync_us = math.inf  # from this SYNC on a path is about to begin
@@ -115,6 +117,7 @@ class Timekeeper:
 
     def on_sync(self, t_us: float, begins_path: bool = False) -> None:
         """A SYNC was on the bus; the drives now say what their clocks were."""
+        self._earliest_us = self._handed_over_us if self.produces else self._expected_us()
         self._forget()
         self.sync_count += 1
         self._syncs_us.appendleft(self._last_sync_us)
@@ -222,6 +225,7 @@ class Timekeeper:
         Who has no stamp of the last one by now gets none: it would take it for that of this one.
         """
         self._syncing = True
+        self._handed_over_us = now_us
         self._slow = []
         self._outbox.append(Frame(epos2.SYNC))
         self._sync_due_us += self.period_us
@@ -256,6 +260,11 @@ class Timekeeper:
     def _slow_due_us(self) -> float:
         return self._last_sync_us + self.period_us / 2
 
+    def _expected_us(self) -> float:
+        """When a drive's next SYNC is due, by the clocks of those that have answered the last."""
+        answered = any(latched is not None for latched in self._latched)
+        return self.clock.sync_us + self.period_us if answered else -math.inf
+
     def _follow_up(self, now_us: float) -> None:
         """The drives have answered, or had their time: correct those that have."""
         if self._unstamped_us == math.inf:
@@ -285,10 +294,13 @@ class Timekeeper:
     def _compare(self) -> None:
         """Who has not answered, and whose clock is off, going by the others'.
 
-        The host may have noticed the SYNC late: that has put all of them off alike.
+        The host may have noticed the SYNC late: that has put all of them off alike. Never early,
+        though, and not by more than has passed since the SYNC can have been on the bus at all.
         """
         ahead_us = self._ahead_us.values()
         common_us = median(ahead_us) if len(ahead_us) > 2 else min(ahead_us, key=abs, default=0.0)
+        if self.clock.settled:
+            common_us = min(0.0, max(common_us, self._earliest_us - self._unstamped_us))
         for drive, latched in enumerate(self._latched):
             self._missed[drive] += latched is None
             self._off_us[drive] = self._ahead_us.get(drive, common_us) - common_us
