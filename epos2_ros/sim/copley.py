@@ -1,9 +1,16 @@
 """A simulated Copley drive of the plus family with its motor and position-triggered outputs.
 
 Sources: Copley, "Setting outputs at position" (in the text: "the note"); CiA 402 for the state
-machine and profile position mode. Units of CiA 402's objects on a Copley drive: position in
-counts, velocity in 0.1 counts/s, acceleration in 10 counts/s² (public descriptions of its CANopen
-objects). Internally positions are in counts, time in ms, velocity in counts/ms.
+machine and profile position mode; for interpolated position mode `copley_pvt` names them. Units of
+CiA 402's objects on a Copley drive: position in counts, velocity in 0.1 counts/s, acceleration in
+10 counts/s² (public descriptions of its CANopen objects). Internally positions are in counts, time
+in ms, velocity in counts/ms.
+
+In interpolated position mode, where no text says: READING: bit 4 has to rise while "operation
+enabled" in this mode, as on an EPOS2; the SYNC that makes it count is the path's zero, and 0x1013
+shifts the path with the clock. A halt, bit 4 low, a flush, an underflow and another mode end the
+path on a ramp (0x6084; 0x6085 where 0x605D is 2, as the maker has it, and for an underflow), and
+what is in the buffer stays there: halt released with bit 4 set, the next path is made of it.
 """
 
 from __future__ import annotations
@@ -13,7 +20,9 @@ from collections.abc import Callable, Mapping
 from enum import Enum
 from functools import partial
 
+from .clock import MotionClock
 from .copley_compare import CompareModule, SoftwarePin, TraceMemory
+from .copley_pvt import FLUSH, PvtBuffer, PvtPath
 from .dictionary import (
     INTEGER8,
     INTEGER16,
@@ -21,6 +30,7 @@ from .dictionary import (
     SAVE,
     UNSIGNED16,
     UNSIGNED32,
+    UNSIGNED64,
     AbortCode,
     DataType,
     Entry,
@@ -30,6 +40,7 @@ from .dictionary import (
 )
 from .maker_table import PdoRow
 from .profile import Profile, stop, trapezoid
+from .recorder import Recorder
 from .sdo import SdoServer
 from .slave import INF, Identity, Pdos, Slave
 
@@ -37,7 +48,9 @@ COPLEY_CONTROLS = 0x0000_00AB
 LOOP_US = 250.0  # 4 kHz (the note, "Position extrapolation")
 NUMBER_OF_OUTPUTS = 8
 TRACE_WORDS = 8192
-PROFILE_POSITION = 1
+PROFILE_POSITION, INTERPOLATED_POSITION = 1, 7
+CUBIC = -2  # 0x60C0: PVT
+SLOW_DOWN_ON_QUICK_STOP_RAMP = 2  # of 0x605D
 CANOPEN_MODE = 30  # of 0x2300
 FOLLOWING_ERROR, FOLLOWING_ERROR_BIT = 0x8611, 9
 MAX_SPEED = 500_000_000
@@ -81,7 +94,7 @@ class Control:
     ENABLE_VOLTAGE = 1 << 1
     QUICK_STOP = 1 << 2  # low active
     ENABLE_OPERATION = 1 << 3
-    NEW_SETPOINT = 1 << 4
+    NEW_SETPOINT = ENABLE_INTERPOLATION = 1 << 4
     CHANGE_IMMEDIATELY = 1 << 5
     RELATIVE = 1 << 6
     FAULT_RESET = 1 << 7
@@ -94,7 +107,7 @@ class Status:
     VOLTAGE_ENABLED = 1 << 4
     REMOTE = 1 << 9
     TARGET_REACHED = 1 << 10
-    SETPOINT_ACKNOWLEDGE = 1 << 12
+    SETPOINT_ACKNOWLEDGE = INTERPOLATION_ACTIVE = 1 << 12
 
 
 _PARTS = (
@@ -116,6 +129,8 @@ class Copley(Slave):
     count_offset: the encoder says floor(position + count_offset)
     lag_ms:       time constant with which the axis follows the commanded position; 0: none
     drift_ppm:    of its clock against true time
+    offset_us:    its motion clock at true time 0
+    record:       keep what it makes of PVT segments, for `executed`
     factors:      newer firmware's 0x608F, 0x6091 and 0x6092, as (value, value); older has none
     stuck_faults: bits of 0x2183 that come back when they are cleared
     """
@@ -129,6 +144,8 @@ class Copley(Slave):
         count_offset: float = 0.5,
         lag_ms: float = 0.0,
         drift_ppm: float = 0.0,
+        offset_us: float = 0.0,
+        record: bool = False,
         serial: int = 1,
         t_us: float = 0.0,
         factors: Mapping[int, tuple[int, int]] | None = None,
@@ -162,8 +179,15 @@ class Copley(Slave):
         self._profile: Profile | None = None
         self._profile_us = 0.0  # when it began
         self.arrived_us = -math.inf  # when the last profile was over
+        self.clock = MotionClock(offset_us, drift_ppm, 1.0)
+        self.pvt = PvtBuffer()
+        self.recorder = Recorder() if record else None
+        self.ip_start_us = math.nan  # true time of the last path's zero
+        self._path: PvtPath | None = None
+        self._origin_us = 0.0  # where its time begins, as the clock has it
+        self._path_ms = 0  # last recorded
         super().__init__(node_id, identity, t_us, boot_ms, pdos=PDOS)
-        self.rate = 1.0 + drift_ppm * 1e-6
+        self.rate = self.clock.rate
         self._build_objects()
         self._sdo = SdoServer(_WithTraceData(self.dictionary, self.trace))
         self._loop_us = t_us  # when the last loop began
@@ -189,11 +213,30 @@ class Copley(Slave):
             word |= Status.VOLTAGE_ENABLED
         if self._operational:
             word |= Status.REMOTE
-        if self._profile is None:
+        if self._profile is None and self._path is None:
             word |= Status.TARGET_REACHED
         if self._acknowledged:
             word |= Status.SETPOINT_ACKNOWLEDGE
+        if self.ip_active:
+            word |= Status.INTERPOLATION_ACTIVE
         return word
+
+    @property
+    def ip_active(self) -> bool:
+        """Whether it follows a path of PVT segments."""
+        return self._path is not None
+
+    @property
+    def position_demand(self) -> int:
+        """0x6062."""
+        return round(self._commanded)
+
+    @property
+    def executed(self) -> list[tuple[int, float]]:
+        """(path time [ms], position demand [counts], not rounded) of the last path."""
+        if self.recorder is None:
+            raise ValueError(f"node {self.node_id} was not told to record")
+        return self.recorder.executed()
 
     def output(self, pin: int) -> bool:
         """The level at output `pin`, counted from 1."""
@@ -224,16 +267,22 @@ class Copley(Slave):
         mapped = partial(Entry, mappable=True)
         od.variable(0x6040, mapped("Controlword", UNSIGNED16, write=self._on_controlword))
         od.variable(0x6041, mapped("Statusword", UNSIGNED16, "ro", read=lambda: self.status_word))
-        od.variable(
+        self._mode: Entry = od.variable(
             0x6060,
-            mapped("Modes of operation", INTEGER8, value=PROFILE_POSITION, low=1, high=1),
+            mapped(
+                "Modes of operation",
+                INTEGER8,
+                value=PROFILE_POSITION,
+                check=self._check_mode,
+                write=self._on_mode,
+            ),
         )
         od.variable(
             0x6061,
-            mapped("Modes of operation display", INTEGER8, "ro", read=lambda: PROFILE_POSITION),
+            mapped("Modes of operation display", INTEGER8, "ro", read=lambda: self._mode.value),
         )
         for index, name, read in (
-            (0x6062, "Position demand value", lambda: round(self._commanded)),
+            (0x6062, "Position demand value", lambda: self.position_demand),
             (0x606C, "Velocity actual value", lambda: round(self._velocity / VELOCITY_UNIT)),
         ):
             od.variable(index, Entry(name, INTEGER32, "ro", mappable=True, read=read, fast=True))
@@ -277,11 +326,44 @@ class Copley(Slave):
         self._desired_state = od.variable(
             0x2300, mapped("Desired amplifier state", UNSIGNED16, value=CANOPEN_MODE)
         )
+        self._build_interpolation()
         for index, values in self._factors.items():
             od.record(index, *(Entry("Factor", UNSIGNED32, value=value) for value in values))
         self._keep_makers_objects()
         self._build_outputs()
         self._build_storing()
+
+    def _build_interpolation(self) -> None:
+        od, pvt = self.dictionary, self.pvt
+        mapped = partial(Entry, mappable=True)
+        od.variable(
+            0x1013,
+            mapped(
+                "High resolution time stamp",
+                UNSIGNED32,
+                read=lambda: self.clock.latched,
+                write=self._on_timestamp,
+            ),
+        )
+        od.variable(0x2010, mapped("PVT buffer data", UNSIGNED64, write=self._on_pvt))
+        for index, name, kind, read in (
+            (0x2011, "PVT buffer count", UNSIGNED16, lambda: pvt.free),
+            (0x2012, "PVT buffer status", UNSIGNED32, lambda: pvt.status),
+            (0x2013, "PVT segment ID", UNSIGNED16, lambda: pvt.next_id),
+        ):
+            od.variable(index, mapped(name, kind, "ro", read=read, event=lambda: pvt.events))
+        self._submode = od.variable(
+            0x60C0, mapped("Interpolation submode select", INTEGER16, low=CUBIC, high=0)
+        )
+        self._halt_option = od.variable(0x605D, mapped("Halt option code", INTEGER16, value=1))
+
+    @staticmethod
+    def _check_mode(mode: int) -> None:
+        if mode not in (PROFILE_POSITION, INTERPOLATED_POSITION):
+            raise SdoAbort(AbortCode.VALUE_RANGE)
+
+    def _on_mode(self, _: int) -> None:
+        self._leave_path(self._deceleration)
 
     def _keep_makers_objects(self) -> None:
         """What other drives have is not there: 0x1012 and 0x1016; and its PDOs from the factory."""
@@ -431,7 +513,8 @@ class Copley(Slave):
         self._acknowledged = False
         self._setpoint: int | None = None
         self._next_setpoint: int | None = None
-        self._profile = None
+        self._profile = self._path = None
+        self.pvt.reset()
         self._commanded = self._shaft
         self.module.reset()
         self.trace.reserve(0)
@@ -465,12 +548,14 @@ class Copley(Slave):
             self._commanded = float(self.position_actual)
             self._setpoint = self._next_setpoint = None
             self._acknowledged = False
+        elif self._mode.value == INTERPOLATED_POSITION:
+            self._command_path(last, word)
         else:
             self._command_profile(last, word)
 
     def _switch_off(self, state: State) -> None:
         self.state = state
-        self._profile, self._next_setpoint = None, None
+        self._profile = self._path = self._next_setpoint = None
         self._acknowledged = False
         if self._moved is None:
             self._commanded = self._shaft
@@ -489,6 +574,66 @@ class Copley(Slave):
             self._switch_off(State.FAULT)
         self.state = State.FAULT
         self.emergency(code)
+
+    # --- interpolated position mode: PVT ------------------------------------------------
+
+    def _on_sync(self) -> None:
+        self.clock.latch(self.received_us)
+
+    def _on_timestamp(self, value: int) -> None:
+        self._origin_us -= self.clock.correct(value) / self.rate
+
+    def _on_pvt(self, value: int) -> None:
+        command = self.pvt.write(value.to_bytes(8, "little"), self.received_us)
+        if command == FLUSH:
+            self._leave_path(self._deceleration)
+        self._dirty = True
+
+    def _command_path(self, last: int, word: int) -> None:
+        ask = word & Control.ENABLE_INTERPOLATION and not word & Control.HALT
+        asked = last & Control.ENABLE_INTERPOLATION and not last & Control.HALT
+        if ask and not asked:
+            self._begin_path()
+        elif not ask:
+            quick = self._halt_option.value == SLOW_DOWN_ON_QUICK_STOP_RAMP
+            self._leave_path(self._quick_stop if quick else self._deceleration)
+
+    def _begin_path(self) -> None:
+        """From now on; in another state of 0x2300, or by another submode, nothing happens."""
+        commanded = self._desired_state.value == CANOPEN_MODE
+        if not commanded or self._submode.value != CUBIC or self.pvt.errors:
+            return
+        self._profile, self._path_ms = None, -1
+        self.ip_start_us = self._origin_us = self._loop_us = self.received_us
+        self._tick_us = self.received_us + LOOP_US / self.rate
+        self._path = PvtPath(self.pvt, self._commanded)
+        if self.recorder is not None:
+            self.recorder.begin()
+        self._follow_path()
+
+    def _follow_path(self) -> None:
+        """What the path says now; a new end of it is one of the drive."""
+        path, told = self._path, self.pvt.events
+        assert path is not None
+        t_ms = max((self.now_us - self._origin_us) / 1000 * self.rate, 0.0)
+        while self._path_ms < math.floor(t_ms + 1e-9) and not path.aborted:
+            self._path_ms += 1
+            position, _ = path.at(self._path_ms)
+            if self.recorder is not None and not path.aborted:
+                actual, level = float(self.position_actual), len(self.pvt)
+                self.recorder.add(self.now_us, self._path_ms, position, actual, level)
+            if path.ended:
+                break
+        self._dirty = self._dirty or self.pvt.events != told
+        if path.aborted:
+            self._leave_path(self._quick_stop)
+        elif path.ended:
+            self._commanded, self._path, self._dirty = path.at(t_ms)[0], None, True
+
+    def _leave_path(self, deceleration: Entry) -> None:
+        if self._path is not None:
+            self._decelerate(deceleration)
+            self._dirty = True
 
     # --- profile position mode (CiA 402) ------------------------------------------------
 
@@ -538,13 +683,15 @@ class Copley(Slave):
         self._follow_profile(stop(position, velocity, deceleration.value * ACCELERATION_UNIT))
 
     def _follow_profile(self, profile: Profile) -> None:
-        self._profile, self._profile_us = profile, self.now_us
+        self._profile, self._profile_us, self._path = profile, self.now_us, None
         if self._tick_us == INF:
             self._loop_us = self.now_us
             self._tick_us = self.now_us + LOOP_US / self.rate
 
     def _demand(self, t_us: float) -> tuple[float, float]:
         """Commanded position and velocity [counts, counts/ms]."""
+        if self._path is not None:
+            return self._path.at(max((t_us - self._origin_us) / 1000 * self.rate, 0.0))
         if self._profile is None:
             return self._commanded, 0.0
         return self._profile.at((t_us - self._profile_us) / 1000 * self.rate)
@@ -570,7 +717,8 @@ class Copley(Slave):
             self._see(count, self.extrapolated, self.now_us, next_us)
         for pin in self.pins:
             self._sample(pin)
-        resting = self._moved is None and self._profile is None and self._shaft == before
+        driven = self._moved is not None or self._profile is not None or self._path is not None
+        resting = not driven and self._shaft == before
         self._tick_us = INF if resting else self.now_us + LOOP_US / self.rate
 
     def _sample(self, pin: SoftwarePin) -> None:
@@ -583,12 +731,15 @@ class Copley(Slave):
             self._velocity = velocity / 1000
             self._commanded = self._shaft
             return
+        if self._path is not None:
+            self._follow_path()
         self._commanded, velocity = self._demand(self.now_us)
         if self._follow < 1.0:
             step = (self._commanded - self._shaft) * self._follow
             self._shaft += step
             velocity = step / LOOP_US * 1000
-            if abs(self._commanded - self._shaft) < 1e-3 and self._profile is None:
+            still = self._profile is None and self._path is None
+            if still and abs(self._commanded - self._shaft) < 1e-3:
                 self._shaft = self._commanded
         else:
             self._shaft = self._commanded

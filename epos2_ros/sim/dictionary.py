@@ -91,7 +91,8 @@ class Entry:
     The hooks bind it to the device: `read()` gives the value at this moment, `check(value)`
     may raise `SdoAbort` to refuse a new one, `write(value)` acts on it once it is stored.
     `fast` marks values that may change in any control cycle (a PDO that holds one has to be
-    looked at in each).
+    looked at in each). Where a PDO is not sent for every change of the value, `event()` changes
+    with what it is sent for.
     """
 
     name: str
@@ -105,6 +106,7 @@ class Entry:
     check: Callable[[int], None] | None = None
     write: Callable[[int], None] | None = None
     fast: bool = False
+    event: Callable[[], int] | None = None
     text: bytes = b""  # of a VISIBLE_STRING
     default: int = field(init=False)  # as it left the factory
     stored: int = field(init=False)  # what it has after power-on
@@ -122,6 +124,10 @@ class Entry:
     def pack(self) -> bytes:
         """The value as it is on the bus."""
         return self.text if self.type is VISIBLE_STRING else self.type.pack(self.get())
+
+    def trigger(self) -> bytes:
+        """What an event-driven PDO that holds it is sent for, when it changes."""
+        return self.pack() if self.event is None else self.event().to_bytes(8, "little")
 
     def set(self, value: int) -> None:
         """Checks, stores and acts. Raises `SdoAbort`."""

@@ -260,6 +260,10 @@ class TransmitPdo(Pdo):
     def sample(self) -> bytes:
         return b"".join(entry.pack() for entry in self.entries)
 
+    def trigger(self) -> bytes:
+        """What it is sent for, as an event, when it changes."""
+        return b"".join(entry.trigger() for entry in self.entries)
+
     def on_sync(self) -> bool:
         """Counts a SYNC; `True` if it is the n-th, or something has changed since the last."""
         if self.transmission.value == ACYCLIC:

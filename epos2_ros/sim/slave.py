@@ -570,10 +570,10 @@ class Slave:
                     self._timers_us = min(self._timers_us, tpdo.ready_us)
             else:
                 tpdo.waiting = False
-                data = tpdo.sample()
-                if data != tpdo.sent:
-                    self._send(tpdo.can_id, data)
-                    tpdo.sent = data
+                trigger = tpdo.trigger()
+                if trigger != tpdo.sent:
+                    self._send(tpdo.can_id, tpdo.sample())
+                    tpdo.sent = trigger
                     tpdo.ready_us = now + tpdo.inhibit_us / self.rate - _ROUNDING_US
             if tpdo.fast:
                 self._fast_ready_us = min(self._fast_ready_us, max(now, tpdo.ready_us))
