@@ -19,7 +19,7 @@ import numpy as np
 from simulated_time import Bench
 from trajectories import example
 
-from epos2_ros.config import AxisConfig, DriverConfig
+from epos2_ros.configuration.driver import AxisConfig, DriverConfig
 from epos2_ros.motion.trajectory import Trajectory
 
 AXES = (1, 6, 12, 32)

@@ -29,7 +29,7 @@ from simulated_time import axes
 from benchmarks.feeding import AXES, trajectory
 from epos2_ros.bus.driver import Driver
 from epos2_ros.buslog.writer import earlier_files
-from epos2_ros.config import DriverConfig
+from epos2_ros.configuration.driver import DriverConfig
 from epos2_ros.demo.child import Child
 from epos2_ros.motion import knots
 from epos2_ros.protocol.group import Phase

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epos2_ros.bus.settings import fit_axis
-from epos2_ros.config import AxisConfig, DriverConfig
+from epos2_ros.configuration.driver import AxisConfig, DriverConfig
 from epos2_ros.errors import TrajectoryError
 from epos2_ros.motion.curve import Curve
 from epos2_ros.motion.fit import Fitter

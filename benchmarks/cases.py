@@ -12,8 +12,14 @@ from numpy.typing import NDArray
 from planners import from_ruckig, from_toppra
 
 from epos2_ros.bus.settings import fit_axis
-from epos2_ros.config import AxisConfig, DriverConfig
-from epos2_ros.files import read_parameters, read_trajectory, share, shipped_parameters
+from epos2_ros.configuration.driver import AxisConfig, DriverConfig
+from epos2_ros.configuration.files import (
+    read_parameters,
+    read_trajectory,
+    share,
+    shipped_parameters,
+)
+from epos2_ros.configuration.parameters import DriverParameters
 from epos2_ros.motion.fit import Fitter
 from epos2_ros.motion.join import join
 from epos2_ros.motion.limits import Limits
@@ -21,7 +27,6 @@ from epos2_ros.motion.record import MAX_SEGMENT_MS, Record
 from epos2_ros.motion.reference import Reference
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.motion.units import AxisUnits
-from epos2_ros.parameters import DriverParameters
 
 Array = NDArray[np.float64]
 

@@ -20,7 +20,7 @@ from collections.abc import Sequence
 import numpy as np
 from simulated_time import Bench, axes
 
-from epos2_ros.config import DriverConfig
+from epos2_ros.configuration.driver import DriverConfig
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.protocol.frame import Frame
 from epos2_ros.sim.can_bus import TransmitQueueFull

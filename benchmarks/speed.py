@@ -20,7 +20,7 @@ from rclpy.serialization import serialize_message
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from epos2_ros.bus.settings import machine_of
-from epos2_ros.config import DriverConfig
+from epos2_ros.configuration.driver import DriverConfig
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.node.serialized import read_trajectory
 from epos2_ros.protocol.group import Phase

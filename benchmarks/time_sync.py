@@ -24,7 +24,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from simulated_time import Bench, axes
 
-from epos2_ros.config import DriverConfig
+from epos2_ros.configuration.driver import DriverConfig
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.protocol import clock
 from epos2_ros.sim.epos2 import Dictionary, Epos2

@@ -34,7 +34,7 @@ import numpy as np
 from simulated_time import Bench
 
 from epos2_ros.bus import cia402_node, sdo_access, sdo_client
-from epos2_ros.config import AxisConfig, DriverConfig, HomingConfig
+from epos2_ros.configuration.driver import AxisConfig, DriverConfig, HomingConfig
 from epos2_ros.errors import Epos2RosError
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.protocol.clock import time_of_day

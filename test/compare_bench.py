@@ -12,11 +12,11 @@ from concurrent.futures import Future
 from simulated_time import Bench
 
 from epos2_ros.bus.sdo_jobs import perform, read_position, write_all
-from epos2_ros.compare_config import CompareConfig
-from epos2_ros.config import AxisConfig, DriverConfig
+from epos2_ros.configuration.driver import AxisConfig, DriverConfig
+from epos2_ros.configuration.outputs import CompareConfig
 from epos2_ros.errors import DriveError
 from epos2_ros.protocol import epos2
-from epos2_ros.protocol.outputs import OutputEvent, Outputs
+from epos2_ros.protocol.outputs.outputs import OutputEvent, Outputs
 from epos2_ros.protocol.path_watch import PathWatch, ProfilePathWatch, RecordPathWatch
 from epos2_ros.sim.copley import Copley
 from epos2_ros.sim.epos2 import Epos2

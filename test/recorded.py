@@ -11,7 +11,7 @@ from simulated_time import Bench, axes
 from epos2_ros.buslog import inputs
 from epos2_ros.buslog.plain import to_plain
 from epos2_ros.buslog.writer import LogWriter
-from epos2_ros.config import DriverConfig
+from epos2_ros.configuration.driver import DriverConfig
 from epos2_ros.errors import Epos2RosError
 from epos2_ros.sim.epos2 import Epos2
 

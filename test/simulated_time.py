@@ -6,6 +6,7 @@ every run with the same arguments is the same.
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 
@@ -17,7 +18,7 @@ from epos2_ros.bus.sdo_client import ATTEMPTS
 from epos2_ros.bus.sdo_jobs import perform
 from epos2_ros.bus.settings import machine_of
 from epos2_ros.bus.transmitter import Transmitter
-from epos2_ros.config import AxisConfig, DriverConfig
+from epos2_ros.configuration.driver import AxisConfig, DriverConfig
 from epos2_ros.errors import DriveError
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.protocol.clock import time_of_day
@@ -292,3 +293,14 @@ def move_on(made: Bench) -> None:
     made.path.submit(there, None, made.now_us)
     made.wait(made.group.motion)
     assert [drive.position_demand for drive in made.drives] == [0] * len(made.drives)
+
+
+def downloads(one: Bench, node: int) -> list[tuple[int, int, int]]:
+    """What a drive was told by expedited SDO: index, subindex, value, in their order."""
+    told = []
+    for _, frame, echo in one.frames:
+        if echo and frame.can_id == 0x600 + node and frame.data[0] & 0xE0 == 0x20:
+            index, subindex = struct.unpack_from("<HB", frame.data, 1)
+            size = 4 - (frame.data[0] >> 2 & 3)
+            told.append((index, subindex, int.from_bytes(frame.data[4 : 4 + size], "little")))
+    return told

@@ -13,10 +13,10 @@ import pytest
 from rclpy.serialization import serialize_message
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from epos2_ros.configuration.files import read_parameters, read_trajectories
+from epos2_ros.configuration.parameters import DriverParameters
 from epos2_ros.errors import Epos2RosError
-from epos2_ros.files import read_parameters, read_trajectories
 from epos2_ros.node.serialized import read_trajectory
-from epos2_ros.parameters import DriverParameters
 
 TRAJECTORY = """\
 header: {stamp: {sec: 5, nanosec: 0}, frame_id: ''}

@@ -31,13 +31,13 @@ from test_packaging import description as description  # a fixture
 from test_parameter_file import rcl as rcl  # a fixture
 
 from epos2_ros.__main__ import PROGRAMS
-from epos2_ros.config import DriverConfig
+from epos2_ros.configuration.driver import DriverConfig
+from epos2_ros.configuration.files import read_parameters
+from epos2_ros.configuration.parameters import DriverParameters
 from epos2_ros.errors import Epos2RosError
-from epos2_ros.files import read_parameters
 from epos2_ros.motion.move import target_of
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.node.driver import DriverNode
-from epos2_ros.parameters import DriverParameters
 from epos2_ros.plan.planning import make_plan
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -19,9 +19,9 @@ import numpy as np
 import pytest
 import yaml
 
-from epos2_ros.config import AxisConfig
-from epos2_ros.files import read_parameters
-from epos2_ros.parameters import DriverParameters
+from epos2_ros.configuration.driver import AxisConfig
+from epos2_ros.configuration.files import read_parameters
+from epos2_ros.configuration.parameters import DriverParameters
 
 ROOT = Path(__file__).resolve().parent.parent
 MOVEIT = ROOT / "examples" / "moveit"

@@ -11,7 +11,7 @@ import yaml
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from epos2_ros.config import AxisConfig
+from epos2_ros.configuration.driver import AxisConfig
 from epos2_ros.motion.curve import Curve
 from epos2_ros.motion.join import join
 from epos2_ros.motion.limits import Limits, extremes

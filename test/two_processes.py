@@ -18,7 +18,7 @@ from trajectories import example, polynomial
 
 from epos2_ros.bus.driver import Driver
 from epos2_ros.bus.snapshot import Snapshot
-from epos2_ros.config import AxisConfig, DriverConfig
+from epos2_ros.configuration.driver import AxisConfig, DriverConfig
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.protocol.outbox import Event
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from epos2_ros.bus.cia402_node import Cia402Node
 from epos2_ros.bus.link import Network
-from epos2_ros.config import AxisConfig
+from epos2_ros.configuration.driver import AxisConfig
 from epos2_ros.errors import ConfigurationError, DriveError
 from epos2_ros.motion.units import UINT32_MAX, AxisUnits, position_limits
 from epos2_ros.protocol import cl3e, epos2

@@ -7,7 +7,7 @@ from fractions import Fraction
 
 from epos2_ros.bus.cia402_node import Cia402Node
 from epos2_ros.bus.link import Network
-from epos2_ros.config import AxisConfig
+from epos2_ros.configuration.driver import AxisConfig
 from epos2_ros.errors import ConfigurationError, DriveError
 from epos2_ros.motion.units import INT32_MAX, AxisUnits, position_limits
 from epos2_ros.protocol import copley, epos2

@@ -20,8 +20,8 @@ from epos2_ros.bus.health import Health
 from epos2_ros.bus.identity import read_identity
 from epos2_ros.bus.link import Link
 from epos2_ros.bus.nodes import DriveNode, check, node_of
-from epos2_ros.bus.output_service import OutputService
-from epos2_ros.bus.predictor import Predictor
+from epos2_ros.bus.outputs.predictor import Predictor
+from epos2_ros.bus.outputs.service import OutputService
 from epos2_ros.bus.reactor import Reactor
 from epos2_ros.bus.sdo_jobs import perform
 from epos2_ros.bus.settings import machine_of
@@ -34,8 +34,8 @@ from epos2_ros.bus.worker import Worker
 from epos2_ros.buslog import inputs
 from epos2_ros.buslog.plain import to_plain
 from epos2_ros.buslog.writer import LogWriter
-from epos2_ros.compare_config import CompareConfig
-from epos2_ros.config import AxisConfig, DriverConfig
+from epos2_ros.configuration.driver import AxisConfig, DriverConfig
+from epos2_ros.configuration.outputs import CompareConfig
 from epos2_ros.errors import (
     BusError,
     ConfigurationError,
@@ -56,7 +56,7 @@ from epos2_ros.protocol.identity import Identity
 from epos2_ros.protocol.intake import Rejects, intake_of
 from epos2_ros.protocol.other_host import OtherHost
 from epos2_ros.protocol.outbox import Event, SdoRequest
-from epos2_ros.protocol.outputs import OutputEvent
+from epos2_ros.protocol.outputs.outputs import OutputEvent
 from epos2_ros.protocol.path import Placement, refuse_ended
 from epos2_ros.protocol.timekeeper import HOST_NODE_ID, Timekeeper
 from epos2_ros.protocol.trace import Trace

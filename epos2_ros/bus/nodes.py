@@ -10,7 +10,7 @@ from epos2_ros.bus.epos2 import Epos2Node
 from epos2_ros.bus.link import Network
 from epos2_ros.bus.sdo_client import RemoteNode
 from epos2_ros.bus.settings import drive_settings
-from epos2_ros.config import AxisConfig, DriverConfig
+from epos2_ros.configuration.driver import AxisConfig, DriverConfig
 from epos2_ros.errors import ConfigurationError
 from epos2_ros.protocol import cl3e, copley, epos2
 from epos2_ros.protocol.families import FAMILIES

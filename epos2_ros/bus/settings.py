@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from epos2_ros.bus.epos2 import Epos2Settings
-from epos2_ros.config import AxisConfig, DriverConfig
+from epos2_ros.configuration.driver import AxisConfig, DriverConfig
 from epos2_ros.motion.fit import FitAxis
 from epos2_ros.motion.units import PROFILE_ACCELERATION_RPM_S, AxisUnits, drive_limits
 from epos2_ros.protocol.machine import Machine

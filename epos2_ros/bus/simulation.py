@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from epos2_ros.bus.link import open_bus
-from epos2_ros.config import DriverConfig
+from epos2_ros.configuration.driver import DriverConfig
 from epos2_ros.protocol import cl3e, copley, epos2
 from epos2_ros.sim.epos2 import Dictionary
 from epos2_ros.sim.realtime import (

@@ -13,7 +13,7 @@ from epos2_ros.protocol.epos2 import BUFFER_SIZE
 from epos2_ros.protocol.group import IN_MOTION
 from epos2_ros.protocol.identity import Identity
 from epos2_ros.protocol.machine import Machine
-from epos2_ros.protocol.outputs import Tally
+from epos2_ros.protocol.outputs.outputs import Tally
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from epos2_ros.config import AxisConfig
+from epos2_ros.configuration.driver import AxisConfig
 from epos2_ros.errors import TrajectoryError
 from epos2_ros.motion.reference import Reference, State
 from epos2_ros.motion.units import AxisUnits

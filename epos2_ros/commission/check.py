@@ -11,16 +11,16 @@ from dataclasses import replace
 from pathlib import Path
 from types import FrameType
 
-from epos2_ros.arguments import without_ros_arguments
 from epos2_ros.bus.driver import Driver
 from epos2_ros.commission.dialogue import Dialogue, amount
 from epos2_ros.commission.first_motion import FirstMotion, Hand
 from epos2_ros.commission.place import simulated
-from epos2_ros.config import AxisConfig, DriverConfig
+from epos2_ros.configuration.arguments import without_ros_arguments
+from epos2_ros.configuration.driver import AxisConfig, DriverConfig
+from epos2_ros.configuration.files import read_parameters, share
+from epos2_ros.configuration.parameters import DriverParameters
 from epos2_ros.errors import ConfigurationError, Epos2RosError
-from epos2_ros.files import read_parameters, share
 from epos2_ros.motion.units import AxisUnits
-from epos2_ros.parameters import DriverParameters
 from epos2_ros.protocol.outbox import Event
 
 STEPS = {

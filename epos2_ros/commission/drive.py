@@ -11,11 +11,11 @@ from pathlib import Path
 import can
 import canopen
 
-from epos2_ros.arguments import without_ros_arguments
 from epos2_ros.bus.link import open_bus
 from epos2_ros.commission.drive_file import DriveFile, read_drive_file, to_yaml
 from epos2_ros.commission.parameter_access import Difference, DriveParameters
 from epos2_ros.commission.place import add_place, config_of, place_of
+from epos2_ros.configuration.arguments import without_ros_arguments
 from epos2_ros.errors import BusError, ConfigurationError, DriveError, Epos2RosError
 from epos2_ros.protocol.identity import Identity
 

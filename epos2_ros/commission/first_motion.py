@@ -16,7 +16,7 @@ import numpy as np
 from epos2_ros.bus.driver import Driver
 from epos2_ros.bus.snapshot import AxisSnapshot
 from epos2_ros.commission.dialogue import Dialogue
-from epos2_ros.config import AxisConfig
+from epos2_ros.configuration.driver import AxisConfig
 from epos2_ros.errors import DriveError, MotionAborted, TrajectoryError
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.motion.units import AxisUnits

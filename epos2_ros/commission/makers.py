@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from epos2_ros.bus.identity import DEVICE_NAME, IDENTITY, SOFTWARE_VERSION
 from epos2_ros.commission.found import DEVICE_TYPE, Found
 from epos2_ros.commission.uploads import Address, Questions
-from epos2_ros.parameters import AXIS
+from epos2_ros.configuration.parameters import AXIS
 from epos2_ros.protocol import cia402, epos2
 from epos2_ros.protocol.identity import COPLEY, MAXON, NANOTEC
 

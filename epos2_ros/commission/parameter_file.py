@@ -9,8 +9,8 @@ from epos2_ros.commission.makers import maker_of
 from epos2_ros.commission.oddities import doubled
 from epos2_ros.commission.place import Place
 from epos2_ros.commission.survey import Survey
+from epos2_ros.configuration.parameters import AXIS
 from epos2_ros.errors import DriveError
-from epos2_ros.parameters import AXIS
 from epos2_ros.protocol import epos2
 from epos2_ros.protocol.timekeeper import HOST_NODE_ID
 

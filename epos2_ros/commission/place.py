@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from epos2_ros.bus.simulation import Simulation
-from epos2_ros.config import DriverConfig
+from epos2_ros.configuration.driver import DriverConfig
+from epos2_ros.configuration.files import read_parameters
+from epos2_ros.configuration.parameters import BIT_RATES, DriverParameters
 from epos2_ros.errors import ConfigurationError
-from epos2_ros.files import read_parameters
-from epos2_ros.parameters import BIT_RATES, DriverParameters
 
 INTERFACE, CHANNEL, BITRATE = "socketcan", "can0", 1_000_000
 

@@ -6,13 +6,13 @@ import argparse
 import sys
 from collections.abc import Iterator, Sequence
 
-from epos2_ros.arguments import without_ros_arguments
 from epos2_ros.bus.link import open_bus
 from epos2_ros.commission import report, wire
 from epos2_ros.commission.parameter_file import parameter_file
 from epos2_ros.commission.place import Place, add_place, place_of
+from epos2_ros.configuration.arguments import without_ros_arguments
+from epos2_ros.configuration.parameters import BIT_RATES
 from epos2_ros.errors import Epos2RosError
-from epos2_ros.parameters import BIT_RATES
 
 LISTEN_S = 1.0
 OTHER_BITRATES = """\

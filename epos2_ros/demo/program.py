@@ -17,6 +17,14 @@ from typing import Any
 
 import yaml
 
+from epos2_ros.configuration.files import (
+    DRIVER,
+    read_parameters,
+    read_trajectory,
+    share,
+    shipped_parameters,
+)
+from epos2_ros.configuration.parameters import DriverParameters
 from epos2_ros.demo.child import Child
 from epos2_ros.demo.commanded import HOLD_S, Commanded, scales
 from epos2_ros.demo.outputs import OutputResult, outputs_of
@@ -24,9 +32,7 @@ from epos2_ros.demo.report import Observed, Report
 from epos2_ros.demo.terminal import Terminal, bar
 from epos2_ros.demo.witness import Witness
 from epos2_ros.errors import Epos2RosError
-from epos2_ros.files import DRIVER, read_parameters, read_trajectory, share, shipped_parameters
 from epos2_ros.motion.trajectory import Trajectory
-from epos2_ros.parameters import DriverParameters
 
 READY_TIMEOUT_S = 60.0  # for the driver to be active: imports, bring-up, clocks
 MOVE_TIMEOUT_S = 15.0  # for the start, and beyond the trajectory's duration

@@ -20,9 +20,9 @@ from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from epos2_ros.configuration.files import DRIVER
 from epos2_ros.demo.outputs import Event
 from epos2_ros.demo.report import Observed
-from epos2_ros.files import DRIVER
 from epos2_ros.motion.trajectory import Trajectory
 
 TOPICS = 3  # /joint_states, ~/buffer_status, /diagnostics

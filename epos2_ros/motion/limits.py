@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from epos2_ros.config import AxisConfig
+from epos2_ros.configuration.driver import AxisConfig
 from epos2_ros.errors import ConfigurationError, TrajectoryError
 from epos2_ros.motion.curve import Curve
 from epos2_ros.motion.units import PROFILE_ACCELERATION_RPM_S, AxisUnits, drive_limits

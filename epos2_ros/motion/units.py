@@ -15,7 +15,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from epos2_ros.config import AxisConfig
+from epos2_ros.configuration.driver import AxisConfig
 from epos2_ros.errors import ConfigurationError
 
 INT32_MIN, INT32_MAX = -(2**31), 2**31 - 1

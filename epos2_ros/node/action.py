@@ -34,7 +34,7 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 
 from epos2_ros.bus.driver import Driver
 from epos2_ros.bus.tracking import Tracking
-from epos2_ros.config import DriverConfig
+from epos2_ros.configuration.driver import DriverConfig
 from epos2_ros.errors import Epos2RosError, TrajectoryError, UnfinishedTrajectory
 from epos2_ros.motion.tolerance import JointTolerance, Tolerances
 from epos2_ros.motion.trajectory import Trajectory

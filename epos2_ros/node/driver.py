@@ -46,13 +46,13 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from epos2_ros import surroundings
-from epos2_ros.arguments import given_parameters
 from epos2_ros.bus.driver import Driver
 from epos2_ros.bus.supervisor import described
-from epos2_ros.compare_config import CompareConfig
-from epos2_ros.config import ClockLimits, DriverConfig
+from epos2_ros.configuration.arguments import given_parameters
+from epos2_ros.configuration.driver import ClockLimits, DriverConfig
+from epos2_ros.configuration.files import DRIVER
+from epos2_ros.configuration.outputs import CompareConfig
 from epos2_ros.errors import Epos2RosError, TrajectoryError
-from epos2_ros.files import DRIVER
 from epos2_ros.motion.move import target_of
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.node import messages
@@ -60,7 +60,7 @@ from epos2_ros.node.log_lines import LogLines
 from epos2_ros.node.parameters import Parameters
 from epos2_ros.node.serialized import read_trajectory
 from epos2_ros.protocol.outbox import Event
-from epos2_ros.protocol.outputs import OutputEvent
+from epos2_ros.protocol.outputs.outputs import OutputEvent
 
 if TYPE_CHECKING:
     from epos2_ros.node.action import TrajectoryAction

@@ -15,12 +15,12 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from sensor_msgs.msg import JointState
 
-from epos2_ros.config import ClockLimits
+from epos2_ros.configuration.driver import ClockLimits
 from epos2_ros.protocol.epos2 import BufferStatus
 
 if TYPE_CHECKING:
     from epos2_ros.bus.snapshot import AxisSnapshot, OutputSnapshot, Snapshot
-    from epos2_ros.protocol.outputs import OutputEvent
+    from epos2_ros.protocol.outputs.outputs import OutputEvent
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 STALE = DiagnosticStatus.STALE

@@ -1,4 +1,4 @@
-"""The node's parameters: `epos2_ros.parameters` as ROS declares, describes and changes them.
+"""The node's parameters: those of `configuration/parameters` as ROS declares and changes them.
 
 A wrong or unknown parameter does not keep the node from coming up: the default stands in, and
 the lifecycle transition "configure" fails with its line until the value has been put right with
@@ -20,10 +20,10 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from epos2_ros.compare_config import CompareConfig
-from epos2_ros.config import DriverConfig
+from epos2_ros.configuration.driver import DriverConfig
+from epos2_ros.configuration.outputs import CompareConfig
+from epos2_ros.configuration.parameters import DriverParameters, Spec
 from epos2_ros.errors import Epos2RosError
-from epos2_ros.parameters import DriverParameters, Spec
 
 
 class Parameters:

@@ -9,13 +9,13 @@ from typing import TextIO
 
 import numpy as np
 
-from epos2_ros.compare_config import CompareConfig
-from epos2_ros.config import DriverConfig
+from epos2_ros.configuration.driver import DriverConfig
+from epos2_ros.configuration.outputs import CompareConfig
 from epos2_ros.motion.compare import Prediction
 from epos2_ros.motion.crossings import Path
 from epos2_ros.motion.foresight import Foresight
 from epos2_ros.motion.units import AxisUnits
-from epos2_ros.protocol.outputs import Outputs
+from epos2_ros.protocol.outputs.outputs import Outputs
 
 HEADINGS = (
     *("output", "fires", "first [s]", "last [s]", "position from", "to", "speed from", "to"),

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from epos2_ros.bus.cia402_node import DRIVE_HEARTBEAT_MS
 from epos2_ros.bus.settings import drive_settings, machine_of
 from epos2_ros.bus.transmitter import worst_case_bits
-from epos2_ros.config import AxisConfig, DriverConfig
+from epos2_ros.configuration.driver import AxisConfig, DriverConfig
 from epos2_ros.motion.crossings import Path
 from epos2_ros.motion.limits import Limits
 from epos2_ros.motion.move import refuse_trajectory

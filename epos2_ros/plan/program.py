@@ -10,12 +10,12 @@ from contextlib import nullcontext
 from pathlib import Path
 
 from epos2_ros import surroundings
-from epos2_ros.arguments import without_ros_arguments
-from epos2_ros.config import DriverConfig
+from epos2_ros.configuration.arguments import without_ros_arguments
+from epos2_ros.configuration.driver import DriverConfig
+from epos2_ros.configuration.files import read_parameters, read_trajectories, shipped_parameters
+from epos2_ros.configuration.parameters import AXIS, DriverParameters
 from epos2_ros.errors import Epos2RosError, TrajectoryError
-from epos2_ros.files import read_parameters, read_trajectories, shipped_parameters
 from epos2_ros.motion.trajectory import Trajectory
-from epos2_ros.parameters import AXIS, DriverParameters
 from epos2_ros.plan import report
 from epos2_ros.plan.move import make_move_plan
 from epos2_ros.plan.outputs import OutputPlans, write_csv

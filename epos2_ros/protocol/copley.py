@@ -2,7 +2,7 @@
 
 Device control and profile position mode are those of CiA 402. Units of velocity and acceleration
 (0.1 counts/s and 10 counts/s²) are from public descriptions of Copley's CANopen objects; they are
-not in Copley, "Setting outputs at position", whose objects are in `copley_compare`.
+not in Copley, "Setting outputs at position", whose objects are in `outputs/copley`.
 
 | PDO   | COB-ID | transmission      | objects                                      |
 |-------|--------|-------------------|----------------------------------------------|

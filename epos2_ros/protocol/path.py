@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
-from epos2_ros.config import AxisConfig, DriverConfig
+from epos2_ros.configuration.driver import AxisConfig, DriverConfig
 from epos2_ros.errors import TrajectoryError
 from epos2_ros.motion.join import join
 from epos2_ros.motion.limits import BEYOND_POINTS, Limits

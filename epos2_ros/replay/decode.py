@@ -13,7 +13,7 @@ from typing import NamedTuple
 from epos2_ros.bus.epos2 import family_of
 from epos2_ros.bus.settings import drive_settings
 from epos2_ros.buslog.asc import FrameLine
-from epos2_ros.config import DriverConfig
+from epos2_ros.configuration.driver import DriverConfig
 from epos2_ros.protocol import epos2
 from epos2_ros.protocol.epos2 import PdoMapping
 from epos2_ros.protocol.families import FAMILIES

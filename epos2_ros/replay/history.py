@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from epos2_ros.config import DriverConfig
+from epos2_ros.configuration.driver import DriverConfig
 from epos2_ros.motion import pvt
 from epos2_ros.motion.record import Record
 from epos2_ros.motion.units import AxisUnits

@@ -8,7 +8,7 @@ import canopen
 from canopen.objectdictionary import ODArray, ODRecord, ODVariable
 
 from epos2_ros.bus.cia402_node import object_dictionary
-from epos2_ros.config import DriverConfig
+from epos2_ros.configuration.driver import DriverConfig
 from epos2_ros.protocol import cia402, epos2
 from epos2_ros.protocol.families import FAMILIES
 from epos2_ros.protocol.family import Family

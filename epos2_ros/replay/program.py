@@ -12,14 +12,14 @@ from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from epos2_ros.arguments import without_ros_arguments
 from epos2_ros.buslog import plain
 from epos2_ros.buslog.asc import EventLine, FrameLine
-from epos2_ros.config import DriverConfig
+from epos2_ros.configuration.arguments import without_ros_arguments
+from epos2_ros.configuration.driver import DriverConfig
+from epos2_ros.configuration.files import read_parameters
+from epos2_ros.configuration.parameters import DriverParameters
 from epos2_ros.errors import Epos2RosError
-from epos2_ros.files import read_parameters
 from epos2_ros.motion.units import AxisUnits
-from epos2_ros.parameters import DriverParameters
 from epos2_ros.replay.decode import Decoder, Emergency
 from epos2_ros.replay.history import History
 from epos2_ros.replay.objects import Objects

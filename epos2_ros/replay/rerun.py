@@ -19,7 +19,7 @@ from typing import Any
 from epos2_ros.bus.settings import machine_of
 from epos2_ros.buslog.asc import EventLine, FrameLine
 from epos2_ros.buslog.inputs import Repeater
-from epos2_ros.config import DriverConfig
+from epos2_ros.configuration.driver import DriverConfig
 from epos2_ros.motion.record import Record
 from epos2_ros.protocol import epos2
 from epos2_ros.protocol.frame import Frame

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from epos2_ros.buslog.asc import EventLine, FrameLine
-from epos2_ros.config import DriverConfig
+from epos2_ros.configuration.driver import DriverConfig
 from epos2_ros.protocol import cia402, epos2
 from epos2_ros.protocol.cia402 import State
 from epos2_ros.replay import words

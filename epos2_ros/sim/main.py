@@ -12,8 +12,8 @@ from typing import NoReturn
 
 import can
 
-from epos2_ros.arguments import without_ros_arguments
 from epos2_ros.buslog.writer import LogWriter
+from epos2_ros.configuration.arguments import without_ros_arguments
 from epos2_ros.errors import ConfigurationError, Epos2RosError
 from epos2_ros.receive_buffer import deepen
 

@@ -1,0 +1,1 @@
+"""Position-triggered outputs at work on a bus."""

@@ -1,0 +1,1 @@
+"""What the driver is told: parameters, their files, and the values they make."""

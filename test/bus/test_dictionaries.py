@@ -1,0 +1,223 @@
+"""The driver on EPOS2 drives as they come: both dictionaries, and what real ones do besides.
+
+The makers' facts are in `test_sim_maker`, which holds the simulated drive to maxon's own tables.
+"""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+import pytest
+from simulated_time import Bench, axes, downloads
+from six_axes import assert_on_path, executed, run_motion, there_and_back
+
+from epos2_ros.configuration.driver import DriverConfig
+from epos2_ros.errors import DriveError, MotionAborted
+from epos2_ros.protocol import epos2
+from epos2_ros.protocol.group import Phase
+from epos2_ros.sim.epos2 import Dictionary, Epos2, FirstRecord
+
+BOTH = pytest.mark.parametrize("dictionary", list(Dictionary))
+TWO = DriverConfig(axes=axes(2))
+
+
+def move(made: Bench) -> None:
+    run_motion(made, there_and_back(joints=len(made.drives)))
+
+
+def bench(*drives: Epos2) -> Bench:
+    made = Bench(DriverConfig(axes=axes(len(drives))), drives)
+    made.enable()
+    return made
+
+
+# --- both dictionaries, one way -----------------------------------------------------------------
+
+
+@BOTH
+def test_comes_up_and_moves(dictionary: Dictionary) -> None:
+    made = bench(*(Epos2(n, dictionary=dictionary, record=True) for n in (1, 2)))
+    for _ in range(2):
+        move(made)
+        assert_on_path(made)
+    assert made.group.phase is Phase.STANDING
+
+
+def test_bring_up_is_the_same_on_both() -> None:
+    """One way: not the other one after a refusal. Only 0x6007 is looked for, and the version."""
+    told = []
+    for dictionary in Dictionary:
+        made = Bench(TWO, [Epos2(n, dictionary=dictionary) for n in (1, 2)])
+        told.append([w for w in downloads(made, 1) if w[0] & 0xFF00 not in (0x1400, 0x1800)])
+        refused = [f for _, f, _ in made.frames if f.can_id == 0x581 and f.data[0] == 0x80]
+        assert refused == []
+    assert told[0] == told[1]
+
+
+@BOTH
+def test_a_lost_record_is_found_by_asking_before_it_is_due(dictionary: Dictionary) -> None:
+    """Long before the axis is off its path: the buffer is read twice in the buffer time."""
+    made = bench(*(Epos2(n, dictionary=dictionary, record=True) for n in (1, 2)))
+    made.path.submit(there_and_back(6.0, joints=2), None, made.now_us)
+    made.run(1.5)
+    lost_us: list[float] = []
+
+    def drop(can_id: int, data: bytes, source: int) -> bool:
+        if can_id == 0x202 and not lost_us:
+            lost_us.append(made.now_us)
+            return True
+        return False
+
+    made.bus.drop = drop
+    with pytest.raises(MotionAborted, match=r"joint_2 .* records where .* accounted for"):
+        made.wait(made.group.motion)
+    assert made.now_us - lost_us[0] < 0.5e6 + 0.3e6  # the halt's ramp included
+
+
+def test_what_the_buffer_holds_is_told_from_the_books() -> None:
+    made = bench(Epos2(1), Epos2(2))
+    made.path.submit(there_and_back(4.0, joints=2), None, made.now_us)
+    made.run(1.0)
+    for _ in range(50):
+        made.run(0.023)
+        path_ms = made.machine.path_time.at_ms(made.now_us)
+        for axis, drive in zip(made.machine.interpolated.axes, made.drives, strict=True):
+            assert abs(axis.account.level(path_ms) - drive.buffer_level) <= 1
+
+
+def test_a_drive_that_does_not_tell_its_free_records_does_not_start() -> None:
+    made = bench(Epos2(1), Epos2(2))
+    made.bus.drop = lambda can_id, data, source: can_id == 0x582
+    made.path.submit(there_and_back(joints=2), None, made.now_us)
+    with pytest.raises(MotionAborted, match=r"joint_2 \(node 2\)"):
+        made.wait(made.group.motion)
+    assert all(drive.ip_start_us != drive.ip_start_us for drive in made.drives)  # never
+
+
+def test_a_drive_that_stops_telling_them_in_motion_is_a_warning_said_once() -> None:
+    made = bench(*(Epos2(n, record=True) for n in (1, 2)))
+    made.path.submit(there_and_back(4.0, joints=2), None, made.now_us)
+    made.run(1.0)
+    made.bus.drop = lambda can_id, data, source: can_id == 0x582
+    made.wait(made.group.motion)
+    warnings = [event.text for event in made.events if event.kind == "warning"]
+    assert warnings == ["joint_2 (node 2): does not answer"]
+    assert made.group.phase is Phase.STANDING
+
+
+# --- the first record ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("reading", list(FirstRecord))
+def test_both_readings_of_the_first_record(reading: FirstRecord) -> None:
+    """The path is the commanded one, at most a millisecond early, in both axes alike."""
+    made = bench(*(Epos2(n, first_record=reading, record=True, lag_ms=0) for n in (1, 2)))
+    early_ms = 1 if reading is FirstRecord.START else 0
+    for _ in range(2):
+        move(made)
+        if not early_ms:
+            assert_on_path(made)
+        for axis, drive in enumerate(made.drives):
+            t_ms, demand = executed(drive)
+            half, reach = 1000.0, 0.3 * (1 - axis / 10) * 2000 * 100 / (2 * np.pi)
+            t = np.clip(t_ms + early_ms - 1, 0, 2 * half)
+            u = np.where(t < half, t, 2 * half - t) / half
+            wanted = reach * (10 * u**3 - 15 * u**4 + 6 * u**5)
+            assert np.abs(demand - wanted).max() <= 1.0
+    assert [event.kind for event in made.events].count("done") == 2
+
+
+# --- what real drives do ------------------------------------------------------------------------
+
+
+def test_fresh_from_the_factory_and_operational() -> None:
+    """All RPDOs valid, TPDO1 with the statusword alone, sent at every change."""
+    drives = [Epos2(n, record=True) for n in (1, 2)]
+    made = Bench(TWO, drives, bring_up=False)
+    made.bus.host_send(0x000, b"\x01\x00")
+    made.run(0.01)
+    assert any(f.can_id == 0x182 and len(f.data) == 2 for _, f, _ in made.frames)
+    made.bring_up()
+    made.enable()
+    move(made)
+    assert_on_path(made)
+
+
+def test_a_record_is_no_controlword_to_a_drive_that_has_restarted() -> None:
+    """After a reset RPDO1 is the controlword again, on the very COB-ID of the records."""
+    made = bench(Epos2(1), Epos2(2))
+    made.path.submit(there_and_back(4.0, joints=2), None, made.now_us)
+    made.run(1.0)
+    made.drives[1].power_off()
+    made.drives[1].power_on(made.now_us)
+    with pytest.raises(MotionAborted, match=r"joint_2 \(node 2\) has restarted"):
+        made.wait(made.group.motion)
+    made.run(1.0)
+    assert made.drives[1].status_word & 0x6F == 0x40  # switch on disabled
+    made.bring_up_drive(1)
+    made.group.start_clock(made.now_us, bytes(6))
+    made.wait(made.group.reset_fault())
+    made.enable()
+
+
+def test_a_drive_that_has_to_detect_the_bit_rate() -> None:
+    drives = [Epos2(1, frames_needed=4), Epos2(2, frames_needed=6)]
+    made = Bench(TWO, drives, bring_up=False)
+    made.bring_up()
+    made.enable()
+    assert made.group.phase is Phase.STANDING
+
+
+def test_a_drive_that_is_starting_up_is_waited_for() -> None:
+    drives = [Epos2(1), Epos2(2)]
+    made = Bench(TWO, drives, bring_up=False)
+    made.bus.host_send(0x000, b"\x81\x00")
+    made.run(0.01)
+    made.bring_up()
+    made.enable()
+    assert made.lost() == []
+
+
+@pytest.mark.parametrize("dictionary", list(Dictionary))
+def test_a_stored_no_action_on_a_silent_host_is_overwritten(dictionary: Dictionary) -> None:
+    drives = [Epos2(n, dictionary=dictionary) for n in (1, 2)]
+    drives[1].dictionary[0x6007, 0].value = 0
+    made = Bench(TWO, drives)
+    assert [drive.dictionary[0x6007, 0].value for drive in drives] == [3, 3]
+    assert (0x6007, 0, 3) in downloads(made, 2)
+    assert all(index != 0x6007 for index, _, _ in downloads(made, 1))  # it was as it has to be
+
+
+@pytest.mark.parametrize("revision", [0x2100_0000, 0x2046_0000])
+def test_firmware_without_interpolated_position_mode_is_refused(revision: int) -> None:
+    made = Bench(TWO, [Epos2(1), Epos2(2, revision=revision)], bring_up=False)
+    with pytest.raises(DriveError) as refusal:
+        made.bring_up()
+    assert str(refusal.value) == (
+        f"joint_2 (node 2) has firmware {revision >> 16:04X}h, which has no interpolated position "
+        "mode: it takes 2101h or higher; update it with EPOS Studio"
+    )
+
+
+@pytest.mark.parametrize("rpm", [3, 40, 470])
+def test_velocities_are_finer_than_the_drives_steps(rpm: int) -> None:
+    """The drive tells 1 qc/ms, 30 rpm at 2000 qc per turn; two positions 20 ms apart tell 1.5."""
+    drive = Bench(TWO).machine.drives[0]
+    qc_s = rpm * 2000 / 60
+    for n in range(10):
+        t_us = 20_000.0 * n
+        position = int(qc_s * t_us / 1e6)
+        told = round(round(qc_s / 1000) * 30)
+        drive.heard_us = t_us
+        drive.on_pdo(0x281, struct.pack("<ii", position, told), t_us)
+    assert abs(drive.velocity_now_qc_s(20_000.0) * 60 / 2000 - rpm) <= 1.6
+    drive.on_pdo(0x281, struct.pack("<ii", position, 0), t_us + 20_000)
+    drive.heard_us = t_us + 200_000  # it rests, and repeats nothing
+    assert drive.velocity_now_qc_s(20_000.0) == 0.0
+
+
+def test_free_records_are_read_from_the_answer_to_their_own_object_only() -> None:
+    assert epos2.free_records(bytes.fromhex("43C46002 3D000000".replace(" ", ""))) == 61
+    for other in ("43C46001 40000000", "4BC46002 40000000", "80C46002 00000206", "43C46002"):
+        assert epos2.free_records(bytes.fromhex(other.replace(" ", ""))) is None

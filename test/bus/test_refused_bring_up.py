@@ -1,0 +1,238 @@
+"""Bring-up that fails: any access refused with any abort code, or never answered.
+
+Each run is a bring-up in simulated time of a drive that refuses its n-th access. The campaign has
+as many runs as the drive has accesses times the abort codes there are; here each access meets some
+codes, and with REFUSALS=all in the environment each meets all. What the line says is held against
+what the drive saw, and against the words of CiA 301, 7.2.4.3.17, typed here.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import struct
+import threading
+import time
+from collections.abc import Callable, Iterator
+from itertools import count
+
+import can
+import pytest
+from simulated_time import Bench, axes
+
+from epos2_ros.bus.driver import Driver
+from epos2_ros.configuration.driver import DriverConfig
+from epos2_ros.errors import DriveError
+from epos2_ros.sim.epos2 import Dictionary, Epos2
+from epos2_ros.sim.realtime import RealtimeSimulator, now_us
+
+WORDS = {
+    0x05030000: "toggle bit",
+    0x05040000: "took too long",
+    0x05040001: "unknown command",
+    0x05040005: "out of memory",
+    0x06010000: "can't be accessed",
+    0x06010001: "only be written",
+    0x06010002: "only be read",
+    0x06020000: "no such object",
+    0x06040041: "can't be mapped",
+    0x06040042: "too many or too long for a PDO",
+    0x06040043: "don't go together",
+    0x06040047: "incompatible",
+    0x06060000: "hardware error",
+    0x06070010: "another length",
+    0x06070012: "too long",
+    0x06070013: "too short",
+    0x06090011: "no such sub-index",
+    0x06090030: "out of range",
+    0x06090031: "too high",
+    0x06090032: "too low",
+    0x06090036: "maximum is below the minimum",
+    0x060A0023: "no resources",
+    0x08000000: "general error",
+    0x08000020: "can't be transferred or stored",
+    0x08000021: "something else has the control",
+    0x08000022: "not in the state",
+    0x08000023: "no object dictionary",
+    0x08000024: "no data",
+    0x0F00FFC0: "NMT state",
+    0xDEADBEEF: "no document",
+}
+ABSENT = (0x06020000, 0x06090011)
+OPTIONAL = ((0x6007, 0), (0x2003, 1))  # looked for, and not missed
+CODES_PER_ACCESS = len(WORDS) if os.environ.get("REFUSALS") == "all" else 1
+RETRIES = 3  # of an access that is not answered
+LIMIT_S = 20.0  # of one drive, as the driver states it
+SDO_REQUEST, SDO_ANSWER = 0x600, 0x580
+
+
+class Refusing(Epos2):
+    """Its n-th access (from 0) is met by `meet(request)`: an answer, or None for silence."""
+
+    def __init__(
+        self, node_id: int, nth: float, meet: Callable[[bytes], bytes | None], **settings: object
+    ) -> None:
+        self.accesses: list[bytes] = []
+        self.met: bytes | None = None
+        self._nth, self._meet = nth, meet
+        super().__init__(node_id, **settings)  # type: ignore[arg-type]
+
+    def _on_sdo(self, data: bytes) -> None:
+        if data[0] >> 5 in (1, 2):  # initiate download, upload (CiA 301, 7.2.4.3)
+            self.accesses.append(data)
+            if len(self.accesses) - 1 == self._nth:
+                self.met = data
+        if data != self.met:
+            super()._on_sdo(data)
+        elif (answer := self._meet(data)) is not None:
+            self._send(SDO_ANSWER + self.node_id, answer)
+
+
+def refuse(code: int) -> Callable[[bytes], bytes]:
+    return lambda request: b"\x80" + request[1:4] + code.to_bytes(4, "little")
+
+
+def accesses(dictionary: Dictionary = Dictionary.MAKER) -> list[bytes]:
+    """Of a bring-up that nothing is wrong with."""
+    drive = Refusing(2, float("inf"), lambda request: None, dictionary=dictionary)
+    Bench(CONFIG, [drive])
+    return drive.accesses
+
+
+CONFIG = DriverConfig(
+    axes=axes(2, max_velocity=2.0, max_acceleration=4.0, stop_deceleration=8.0, min_position=-1.0)[
+        1:
+    ]
+)
+
+
+def bring_up(drive: Epos2) -> str:
+    """What is wrong with it, or ""."""
+    made = Bench(CONFIG, [drive], bring_up=False)
+    begun_us = made.now_us
+    try:
+        made.bring_up()
+    except DriveError as error:
+        return str(error)
+    finally:
+        assert made.now_us - begun_us < LIMIT_S * 1e6
+    return ""
+
+
+def assert_says_what_was_attempted(line: str, request: bytes) -> None:
+    """Joint, node, the object by number and name, the value or the PDO."""
+    index, subindex = struct.unpack_from("<HB", request, 1)
+    assert "\n" not in line
+    assert line.startswith("joint_2 (node 2)")
+    assert "; check " in line or "; close " in line or "; switch " in line, line
+    assert f"(0x{index:04X}-{subindex:02X})" in line
+    if 0x1400 <= index <= 0x1BFF:
+        kind, number = "TPDO" if index & 0x800 else "RPDO", (index & 0xFF) + 1
+        assert re.search(rf"\b{kind}{number}\b", line), line
+        assert re.search(r"can't (read the COB-ID|switch|set|clear|map|close) ", line), line
+    if 0x1600 <= index <= 0x17FF or 0x1A00 <= index <= 0x1BFF:
+        mapped = int.from_bytes(request[4:], "little")
+        if subindex and request[0] >> 5 == 1:  # the object that was to be mapped, by name
+            assert re.search(rf"map [^;]*\(0x{mapped >> 16:04X}-{mapped >> 8 & 0xFF:02X}\)", line)
+    elif request[0] >> 5 == 2:
+        assert "can't read " in line
+    elif index >= 0x2000 or index < 0x1400:
+        assert re.search(r"can't (set .* to -?\d+|let it watch|reset|disable)", line), line
+
+
+def cases() -> Iterator[tuple[int, int]]:
+    codes = list(WORDS)
+    for nth in range(len(accesses())):
+        for turn in range(CODES_PER_ACCESS):
+            yield nth, codes[(nth + turn) % len(codes)]
+
+
+@pytest.mark.timeout(1800)
+def test_any_access_refused_with_any_code(record_property: Callable[..., None]) -> None:
+    runs = 0
+    for nth, code in cases():
+        drive = Refusing(2, nth, refuse(code))
+        line = bring_up(drive)
+        assert drive.met is not None
+        key = struct.unpack_from("<HB", drive.met, 1)
+        runs += 1
+        if key in OPTIONAL and code in ABSENT:
+            assert line == ""
+            continue
+        assert_says_what_was_attempted(line, drive.met)
+        assert f"(0x{code:08X})" in line
+        assert WORDS[code] in line
+    record_property("runs", runs)
+    assert runs >= 80 * CODES_PER_ACCESS
+
+
+@pytest.mark.parametrize("nth", range(0, 90, 7))
+def test_an_access_that_is_never_answered(nth: int) -> None:
+    drive = Refusing(2, nth, lambda request: None)
+    line = bring_up(drive)
+    if drive.met is None:
+        assert nth >= len(drive.accesses)
+        return
+    assert drive.accesses.count(drive.met) <= RETRIES * 2 + 1
+    if nth == 0:
+        assert line.startswith("no answer from joint_2 (node 2): check power, wiring, termination")
+    else:
+        assert_says_what_was_attempted(line, drive.met)
+        assert "no answer" in line
+
+
+@pytest.mark.parametrize("nth", [0, 1, 5, 30, 60])
+def test_a_drive_that_falls_silent(nth: int) -> None:
+    """From its n-th access on nothing more comes."""
+
+    class Silent(Refusing):
+        def _on_sdo(self, data: bytes) -> None:
+            if len(self.accesses) <= nth:
+                super()._on_sdo(data)
+
+    line = bring_up(Silent(2, nth, lambda request: None))
+    assert "no answer" in line
+    assert "joint_2 (node 2)" in line
+
+
+@pytest.mark.parametrize("meet", ["short", "other", "long"])
+def test_answers_that_are_none(meet: str) -> None:
+    """Too short, of another object, a value of another length."""
+    answers: dict[str, Callable[[bytes], bytes]] = {
+        "short": lambda request: b"\x60" + request[1:4],
+        "other": lambda request: b"\x60" + b"\x41\x60\x00" + bytes(4),
+        "long": lambda request: b"\x4f" + request[1:4] + bytes(4),
+    }
+    for nth in (2, 12, 40):
+        line = bring_up(Refusing(2, nth, answers[meet]))
+        assert line == "" or line.startswith("joint_2 (node 2): can't "), line
+
+
+# --- the bus is closed in the end ---------------------------------------------------------------
+
+_channel = count()
+
+
+@pytest.mark.parametrize("silent", [False, True])
+@pytest.mark.parametrize("nth", [0, 3, 25, 61])
+def test_the_bus_is_closed_in_the_end(nth: int, silent: bool) -> None:
+    """In real time, with threads: soon after, nobody sends, and no thread is left."""
+    channel = f"refused {next(_channel)}"
+    meet = (lambda request: None) if silent else refuse(0x08000021)
+    drive = Refusing(2, nth, meet, t_us=now_us())
+    before = set(threading.enumerate())
+    with can.Bus(interface="virtual", channel=channel) as bus:
+        simulator = RealtimeSimulator(bus, [drive])
+        simulator.start()
+        config = DriverConfig(axes=CONFIG.axes, channel=channel, simulate=False)
+        begun_s = time.monotonic()
+        try:
+            with pytest.raises(DriveError, match=r"joint_2 \(node 2\)"):
+                Driver(config).configure()
+            assert time.monotonic() - begun_s < 8.0
+        finally:
+            simulator.stop()
+        while bus.recv(0.0) is not None:
+            pass
+        assert bus.recv(0.3) is None  # the host's heartbeat comes every 0.1 s
+    assert {t.name for t in set(threading.enumerate()) - before if t.is_alive()} == set()
