@@ -355,7 +355,7 @@ def test_without_numba_the_records_are_the_same() -> None:
     program = """
 import json, sys
 sys.modules["numba"] = None
-sys.path.insert(0, "test")
+sys.path[:0] = ["test", "test/motion"]
 from test_fit import commanded, converted
 print(json.dumps(converted(commanded("raster_scan"))))
 """
