@@ -10,9 +10,9 @@ import pytest
 from epos2_ros.configuration.outputs import CompareConfig
 from epos2_ros.errors import ConfigurationError
 from epos2_ros.motion.units import AxisUnits
+from epos2_ros.protocol.outputs import copley as copley_compare
+from epos2_ros.protocol.outputs import epos2 as epos2_compare
 from epos2_ros.protocol.outputs.output import check_pins
-from epos2_ros.protocol.outputs.outputs import copley as copley_compare
-from epos2_ros.protocol.outputs.outputs import epos2 as epos2_compare
 
 UNITS = AxisUnits("x", "m", 2000, 2_000_000.0)  # 0.5 µm a count
 

@@ -19,6 +19,8 @@ from epos2_ros.motion.compare import LATE_US, Prediction, Trigger, difference
 from epos2_ros.motion.crossings import Grid, Path
 from epos2_ros.motion.units import AxisUnits
 from epos2_ros.protocol.frame import Frame
+from epos2_ros.protocol.outputs import copley as copley_compare
+from epos2_ros.protocol.outputs import epos2 as epos2_compare
 from epos2_ros.protocol.outputs.copley import SoftwareOutput
 from epos2_ros.protocol.outputs.events import (
     CompareEvent,
@@ -27,8 +29,6 @@ from epos2_ros.protocol.outputs.events import (
     Tracker,
 )
 from epos2_ros.protocol.outputs.output import CountScale, Output, check_pins
-from epos2_ros.protocol.outputs.outputs import copley as copley_compare
-from epos2_ros.protocol.outputs.outputs import epos2 as epos2_compare
 from epos2_ros.protocol.path_watch import PathWatch
 from epos2_ros.protocol.sdo import SdoRead, SdoWrite
 

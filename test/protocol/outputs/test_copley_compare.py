@@ -11,6 +11,7 @@ import pytest
 
 from epos2_ros.configuration.outputs import CompareConfig
 from epos2_ros.motion.units import AxisUnits
+from epos2_ros.protocol.outputs import copley as copley_compare
 from epos2_ros.protocol.outputs.copley import (
     CompareModule,
     Function,
@@ -21,7 +22,6 @@ from epos2_ros.protocol.outputs.copley import (
     load_positions,
     reserve,
 )
-from epos2_ros.protocol.outputs.outputs import copley as copley_compare
 from epos2_ros.protocol.sdo import SdoWrite
 
 COUNTS = AxisUnits("x", "m", 2000, 1.0)
