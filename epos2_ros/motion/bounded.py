@@ -20,6 +20,7 @@ from epos2_ros.motion.curve import Curve, hermite
 from epos2_ros.motion.limits import (
     CHUNK,
     MARGINS,
+    NOTED,
     RELATIVE_SLACK,
     ROUNDING,
     Limits,
@@ -30,8 +31,11 @@ from epos2_ros.motion.limits import (
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_SHORTEST_S = 2e-6  # phases shorter than this are left out
-_SAME_S = 1e-6  # and times less apart than this are made one
+# An axis without a limit of acceleration changes its velocity between two points by so many times
+# the limit of velocity, at the most where that keeps it within the latter.
+AT_ONCE = 20.0
+_SHORTEST_S = 4e-7  # phases shorter than this are left out
+_SAME_S = 2e-7  # and times less apart than this are made one
 
 
 def bounded(curve: Curve, limits: Limits) -> Curve:
@@ -66,19 +70,21 @@ def _part(curve: Curve, first: int, last: int, limits: Limits) -> tuple[Array, l
     axis, piece = np.nonzero(beyond)
     p0, p1, v0, v1 = (values[axis, piece] for pair in ends[:2] for values in pair)
     cubic = _cubic_keeps(h[piece], p0, p1, v0, v1, limits, axis)
-    phases = _Phases.least(h[piece], p0, p1, v0, v1, limits.velocity[axis])
+    most, steepest = limits.velocity[axis], limits.acceleration[axis] * (1 + 0.6 * NOTED)
+    steepest = np.where(np.isfinite(steepest), steepest, AT_ONCE * most / h[piece])
+    phases = _Phases.least(h[piece], p0, p1, v0, v1, most, steepest)
     cubic |= ~phases.inside.any(axis=0)  # as good as one phase
     phases, switches = phases.together(times_s[piece], ~cubic)
     begins_s = np.unique(np.concatenate((times_s[:-1], switches)))
     # Both ends of every new piece, as places on the old ones.
     old = np.searchsorted(times_s[:-1], begins_s, side="right") - 1
     at_s = np.stack((begins_s, np.append(begins_s[1:], times_s[-1]))) - times_s[old]
-    own = tuple((start[:, old], end[:, old]) for start, end in ends)
+    given = tuple((start[:, old], end[:, old]) for start, end in ends)
     row = np.full(beyond.shape, -1)
     row[axis, piece] = np.arange(len(axis))
     values = []
     for order in range(3):
-        value = np.stack([hermite(at / h[old], h[old], own, order).T for at in at_s])
+        value = np.stack([hermite(at / h[old], h[old], given, order).T for at in at_s])
         for i in np.flatnonzero(beyond.any(axis=1)):
             new = row[i, old] >= 0
             one = row[i, old][new]
@@ -105,8 +111,11 @@ class _Phases:
     a1: Array  # of the last
 
     @classmethod
-    def least(cls, h: Array, p0: Array, p1: Array, v0: Array, v1: Array, most: Array) -> _Phases:
-        """With the least acceleration, and no faster than `most` where the ends aren't."""
+    def least(
+        cls, h: Array, p0: Array, p1: Array, v0: Array, v1: Array, most: Array, steepest: Array
+    ) -> _Phases:
+        """With the least acceleration, and no faster than `most` where the ends aren't; within the
+        margin a little faster where it would take more than the acceleration `steepest`."""
         # From a·(2·s − 1)·h = v1 − v0 and a·(2·s − s² − 1/2)·h² = p1 − p0 − v0·h, s = first/h.
         slope = (v1 - v0) / h
         bend = 2 * ((p1 - p0 - v0 * h) / (h * h) - slope / 2)
@@ -116,6 +125,11 @@ class _Phases:
         )
         top = v0 + a * first_s
         sign = np.where(top < 0, -1.0, 1.0)
+        # Where the fastest is c: (c − v0)² + (c − v1)² = 2·steepest·(c·h − p1 + p0).
+        half = (sign * (v0 + v1) + steepest * h) / 2
+        rest = (v0 * v0 + v1 * v1) / 2 + steepest * sign * (p1 - p0)
+        needed = half - np.sqrt(np.maximum(half * half - rest, 0.0))
+        most = np.clip(needed, most, most * (1 + MARGINS[1]))
         most = np.maximum(most, np.maximum(sign * v0, sign * v1))
         room = most * h - sign * (p1 - p0)
         steady = (sign * top > most) & (room > 0)

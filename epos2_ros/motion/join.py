@@ -12,6 +12,7 @@ from epos2_ros.errors import TrajectoryError
 from epos2_ros.motion.bounded import bounded
 from epos2_ros.motion.curve import Curve
 from epos2_ros.motion.limits import MARGINS, Limits, check
+from epos2_ros.motion.pace import paced
 from epos2_ros.motion.reference import Reference, State
 from epos2_ros.motion.stream import Stream, is_streamed
 from epos2_ros.motion.trajectory import Trajectory
@@ -66,6 +67,8 @@ def join(
     curve = _placed(trajectory, axes, state, limits, at_s, start_s)
     remark = check(curve, limits, start_s, (0, np.inf, np.inf))
     if remark:
+        if curve.velocities is None:
+            curve = paced(curve, limits)
         curve = bounded(curve, limits)
         remark = check(curve, limits, start_s, MARGINS)
     same = partial(_same, current, state, current.rests(at_ms))

@@ -36,67 +36,16 @@ knot, and by dynamic programming over a grid of times along knots next to the co
 
 Units: ms, qc, qc/ms; velocities of knots are whole drive velocity units.
 
-This is scalar code, compiled by Numba where it is installed; without Numba it runs as it is, with
-the same results. It is one module because what Numba keeps compiled is renewed when the file of
-the function that was called has changed, whatever else that calls.
+This is scalar code for `motion/compiled`, and so one module.
 """
 
 from __future__ import annotations
 
 import pathlib
-from collections.abc import Callable, Iterable
 from math import ceil, floor, inf, sqrt
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
-try:
-    import numba
-except ImportError:
-    numba = None  # type: ignore[assignment]
-
-COMPILED = numba is not None
-Vector = list[float] | NDArray[np.float64]  # an array with Numba; without, lists are faster
-_F = TypeVar("_F", bound=Callable[..., Any])
-
-
-def _compiled(function: _F) -> _F:
-    if not COMPILED:
-        return function
-    compiled: Any
-    try:
-        compiled = numba.njit(cache=True, error_model="numpy", nogil=True)(function)
-    except RuntimeError:  # there is no folder to keep it in that can be written
-        compiled = numba.njit(error_model="numpy", nogil=True)(function)
-    return compiled
-
-
-def _inlined(function: _F) -> _F:
-    """Compiled into each place it is called from: for what is quicker than to count the references
-    to the vectors it is given."""
-    if not COMPILED:
-        return function
-    compiled: Any = numba.njit(inline="always")(function)
-    return compiled
-
-
-def vector(values: Iterable[float]) -> Vector:
-    """Numbers as the compiled code takes them."""
-    return np.asarray(values, dtype=np.float64) if COMPILED else [float(x) for x in values]
-
-
-if COMPILED:
-
-    @_compiled
-    def _room(size: int) -> Vector:
-        return np.empty(size)
-
-else:
-
-    def _room(size: int) -> Vector:
-        return [0.0] * size
-
+from epos2_ros.motion.compiled import COMPILED, Vector, compiled, inlined, room, vector
 
 DEPTH = 3  # segments looked ahead, the one to be committed included
 WIDTH = 2  # ways on that are carried along
@@ -170,13 +119,13 @@ class _Ends(NamedTuple):
     way: Vector  # index of the way its segment is added to
 
 
-@_inlined
+@inlined
 def _copy(source: Vector, at: int, target: Vector, to: int, count: int) -> None:
     for i in range(count):
         target[to + i] = source[at + i]
 
 
-@_inlined
+@inlined
 def _tangent(
     windows: _Windows, first: int, n: int, t: float, value: float, sign: float
 ) -> tuple[int, float]:
@@ -193,7 +142,7 @@ def _tangent(
     return touched, sign * least
 
 
-@_compiled
+@compiled
 def _reach(
     path: Path, k: int, p0: float, v0: float, terms: Terms, tolerance: float, windows: _Windows
 ) -> tuple[float, int]:
@@ -234,7 +183,7 @@ def _reach(
     return float(min(before, terms.longest)), terms.longest
 
 
-@_inlined
+@inlined
 def keeps(
     path: Path, k: int, p0: float, v0: float, time: int, p1: float, v1: float, terms: Terms
 ) -> bool:
@@ -251,7 +200,7 @@ def keeps(
     return fastest <= terms.fastest and max(abs(2 * b), abs(2 * b + 6 * a * time)) <= terms.steepest
 
 
-@_inlined
+@inlined
 def _roughness(
     path: Path, k: int, p0: float, v0: float, time: int, p1: float, v1: float, terms: Terms
 ) -> float:
@@ -282,14 +231,14 @@ def _roughness(
     return weight * max(total, 0.0)
 
 
-@_inlined
+@inlined
 def _speed(p: Vector, k: int, time: int) -> float:
     """Commanded velocity at k [qc/ms] from the `time` milliseconds before, where curvature is."""
     last = p[k] - p[k - 1]
     return last if time < 2 else (3 * last - p[k - 1] + p[k - 2]) / 2
 
 
-@_inlined
+@inlined
 def _enter(
     path: Path,
     k0: int,
@@ -360,7 +309,7 @@ def _enter(
     return first_of_class
 
 
-@_compiled
+@compiled
 def _ends(
     path: Path,
     k0: int,
@@ -414,7 +363,7 @@ def _ends(
                 break
 
 
-@_compiled
+@compiled
 def _last(path: Path, k: int, p0: float, v0: float, time: int, terms: Terms) -> float:
     """What a segment to the end of the motion, `time` later, costs [ms]; inf if there is none."""
     if time > terms.longest:
@@ -425,14 +374,14 @@ def _last(path: Path, k: int, p0: float, v0: float, time: int, terms: Terms) -> 
     return time * _roughness(path, k, p0, v0, time, rest, 0.0, terms)
 
 
-@_compiled
+@compiled
 def _knot(plan: Vector, way: int, level: int, unit: float) -> tuple[int, float, float]:
     """Path time, position and velocity [qc/ms] of a knot of a way."""
     at = way * _WAY + level * KNOT
     return int(plan[at]), plan[at + 1], plan[at + 2] * unit
 
 
-@_compiled
+@compiled
 def _finish(path: Path, plan: Vector, terms: Terms, end: int) -> bool:
     """Add to the way from which it is best a segment that ends the motion, if there is one."""
     known = int(plan[_KNOWN])
@@ -451,7 +400,7 @@ def _finish(path: Path, plan: Vector, terms: Terms, end: int) -> bool:
     return True
 
 
-@_compiled
+@compiled
 def _grow(path: Path, plan: Vector, terms: Terms, end: int) -> bool:
     """Add to the ways the best segments that end before `end`; whether there are any.
 
@@ -459,13 +408,11 @@ def _grow(path: Path, plan: Vector, terms: Terms, end: int) -> bool:
     """
     unit = terms.unit
     known = int(plan[_KNOWN])
-    before = _room(WIDTH * _WAY)
+    before = room(WIDTH * _WAY)
     _copy(plan, 0, before, 0, WIDTH * _WAY)
-    windows = _Windows(_room(_AHEAD[-1]), _room(_AHEAD[-1]), _room(_AHEAD[-1]))
-    ends = _Ends(
-        _room(_CLASSES), _room(_CLASSES), _room(_CLASSES), _room(_CLASSES), _room(_CLASSES)
-    )
-    scores = _room(_CLASSES)
+    windows = _Windows(room(_AHEAD[-1]), room(_AHEAD[-1]), room(_AHEAD[-1]))
+    ends = _Ends(room(_CLASSES), room(_CLASSES), room(_CLASSES), room(_CLASSES), room(_CLASSES))
+    scores = room(_CLASSES)
     level = 1.0
     for search in range(3):  # the second and third are for the rare case that nothing was found
         for c in range(_CLASSES):
@@ -536,7 +483,7 @@ def _grow(path: Path, plan: Vector, terms: Terms, end: int) -> bool:
     return False
 
 
-@_compiled
+@compiled
 def _settle(path: Path, plan: Vector, terms: Terms) -> None:
     """Move the first knot of the best way to where the segments on both sides are smoothest."""
     unit = terms.unit
@@ -566,7 +513,7 @@ def _settle(path: Path, plan: Vector, terms: Terms) -> None:
                     plan[KNOT], plan[KNOT + 1], plan[KNOT + 2] = k, p, units
 
 
-@_compiled
+@compiled
 def _same(plan: Vector, way: int, other: Vector, knots: int) -> bool:
     """Whether a way begins with the `knots` knots after the committed one in `other`."""
     same = True
@@ -575,10 +522,10 @@ def _same(plan: Vector, way: int, other: Vector, knots: int) -> bool:
     return same
 
 
-@_compiled
+@compiled
 def _commit(path: Path, plan: Vector, terms: Terms) -> None:
     """Commit the first knot of the best way, and forget the ways that don't pass it."""
-    best = _room(_WAY)
+    best = room(_WAY)
     _copy(plan, 0, best, 0, _WAY)
     shared = 1
     if plan[_KNOWN] > 1:
@@ -597,7 +544,7 @@ def _commit(path: Path, plan: Vector, terms: Terms) -> None:
     plan[_KNOWN] -= 1
 
 
-@_compiled
+@compiled
 def _careful(path: Path, plan: Vector, terms: Terms, end: int, near: int, turns: int) -> bool:
     """Look for knots on a grid of times, all pairs of them, for DEPTH longest segments.
 
@@ -611,8 +558,8 @@ def _careful(path: Path, plan: Vector, terms: Terms, end: int, near: int, turns:
     times, ends = DEPTH * reach, near * (2 * turns + 1)
     level = min(terms.tolerance / terms.longest, terms.steepest * terms.longest / 4) / unit
     level = max(1.0, _TURN * level)
-    position, velocity = _room((times + 1) * ends), _room((times + 1) * ends)
-    cost, before = _room((times + 1) * ends), _room((times + 1) * ends)
+    position, velocity = room((times + 1) * ends), room((times + 1) * ends)
+    cost, before = room((times + 1) * ends), room((times + 1) * ends)
     k0, p0, v0 = _knot(plan, 0, 0, unit)
     aside = p0 - path.positions[k0]
     rest = floor(path.positions[max(end, 0)] + 0.5)  # it may have been over before
@@ -679,7 +626,7 @@ def _careful(path: Path, plan: Vector, terms: Terms, end: int, near: int, turns:
     return True
 
 
-@_compiled
+@compiled
 def _shift(plan: Vector, by: int) -> None:
     """Change all times of a plan."""
     for way in range(WIDTH):
@@ -687,7 +634,7 @@ def _shift(plan: Vector, by: int) -> None:
             plan[way * _WAY + level * KNOT] += by
 
 
-@_compiled
+@compiled
 def _complete(path: Path, plan: Vector, terms: Terms, end: int) -> bool:
     """Look ahead until DEPTH segments or the end are known; False if there is no way on."""
     while plan[_KNOWN] < DEPTH and plan[_COMPLETE] == 0:
@@ -696,14 +643,14 @@ def _complete(path: Path, plan: Vector, terms: Terms, end: int) -> bool:
     return True
 
 
-@_compiled
+@compiled
 def forget(plan: Vector) -> None:
     """Keep of a plan what is committed only."""
     plan[_DEBT] = plan[_KNOWN] = plan[_COMPLETE] = plan[_REST] = 0
     plan[_WAYS] = 1
 
 
-@_compiled
+@compiled
 def _next_rest(path: Path, k: int, reach: int, last: int, least: int) -> tuple[int, int]:
     """From when to when the axis rests next for at least `least` ms, as far as is known.
 
@@ -722,7 +669,7 @@ def _next_rest(path: Path, k: int, reach: int, last: int, least: int) -> tuple[i
     return (began, to) if to - began >= least else (last, last)
 
 
-@_compiled
+@compiled
 def advance(
     positions: Vector, bends: Vector, first_ms: int, end_ms: int, aims: Vector, plan: Vector
 ) -> int:
@@ -780,10 +727,10 @@ def advance(
     return int(plan[0]) - first_ms - start if found else 0
 
 
-@_compiled
+@compiled
 def bends_of(positions: Vector) -> Vector:
     """As of `Path`."""
-    bends = _room(len(positions))
+    bends = room(len(positions))
     bends[0] = total = 0.0
     for k in range(1, len(positions) - 1):
         bend = positions[k + 1] - 2 * positions[k] + positions[k - 1]
@@ -815,8 +762,8 @@ def prepare() -> None:
 
 def kept_in() -> pathlib.Path | None:
     """The folder in which what has been compiled is kept (Numba's choice); None: it is not kept."""
-    compiled: Any = advance
-    path = compiled.stats.cache_path if COMPILED else None
+    function: Any = advance
+    path = function.stats.cache_path if COMPILED else None
     return pathlib.Path(path) if path is not None else None
 
 
@@ -825,5 +772,5 @@ def compiled_before() -> bool:
     folder = kept_in()
     if not COMPILED or folder is None:
         return not COMPILED
-    compiled: Any = advance  # its line is in the name, and changes when this module does
-    return any(folder.glob(f"knots.advance-{compiled.py_func.__code__.co_firstlineno}.*.nbi"))
+    function: Any = advance  # its line is in the name, and changes when this module does
+    return any(folder.glob(f"knots.advance-{function.py_func.__code__.co_firstlineno}.*.nbi"))

@@ -23,6 +23,7 @@ from typing import Any
 
 from epos2_ros.configuration.driver import AxisConfig, DriverConfig
 from epos2_ros.errors import TrajectoryError
+from epos2_ros.motion import pace
 from epos2_ros.motion.join import join
 from epos2_ros.motion.limits import BEYOND_POINTS, Limits
 from epos2_ros.motion.reference import Motion, Reference
@@ -123,6 +124,7 @@ class PathCommander:
         self.axes = config.axes
         self._units = tuple(AxisUnits.of(axis) for axis in config.axes)
         self._limits = Limits.of(config.axes)
+        pace.prepare()
         self._waiting: tuple[Placement, Execution] | None = None
         # What the axes follow, or hold the end of; None: neither.
         self.execution: Execution | None = None

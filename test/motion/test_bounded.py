@@ -19,6 +19,7 @@ from epos2_ros.errors import TrajectoryError
 from epos2_ros.motion.bounded import bounded
 from epos2_ros.motion.curve import Curve
 from epos2_ros.motion.limits import MARGINS, NOTED, Limits, check
+from epos2_ros.motion.pace import paced
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.plan import report
 from epos2_ros.plan.planning import make_plan
@@ -126,8 +127,8 @@ def test_a_plan_that_keeps_the_limits_is_followed_within_them(
     assert_joins_the_points(curve, trajectory)
     fastest, steepest = sampled(curve, limits)
     assert fastest <= 1 + 1e-5
-    # Positions have nine digits; and within 2 µs of a point nothing switches.
-    assert steepest * acceleration <= acceleration * (1 + NOTED + 16 * 2e-6 / step_s) + 1e-3
+    # Positions have nine digits; and within 0.4 µs of a point nothing switches.
+    assert steepest * acceleration <= acceleration * (1 + NOTED + 16 * 4e-7 / step_s) + 1e-3
 
 
 @pytest.mark.parametrize("step_s", STEPS_S)
@@ -203,3 +204,77 @@ def test_beyond_the_margin_it_is_refused() -> None:
     trajectory, config = rushed(1.25)
     with pytest.raises(TrajectoryError, match=r"joint 'a': acceleration -?5 rad/s² .* allowed ±4"):
         make_plan(trajectory, config, [0.0])
+
+
+def alone(trajectory: Trajectory) -> Trajectory:
+    """Its positions and times only."""
+    return replace(trajectory, velocities=None, accelerations=None)
+
+
+@BUDGET
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    step_s=st.sampled_from(STEPS_S),
+    velocity=st.floats(0.5, 3.0),
+    ramp_s=st.floats(0.03, 1.0),
+    unlimited=st.booleans(),
+)
+def test_positions_alone_of_a_plan_within_the_limits_are_followed_within_them(
+    seed: int, step_s: float, velocity: float, ramp_s: float, unlimited: bool
+) -> None:
+    """There are velocities at the points with which they can be kept: those the planner had."""
+    acceleration = velocity / ramp_s
+    trajectory = alone(switched(seed, step_s, velocity, acceleration, False))
+    most = {} if unlimited else {"max_acceleration": acceleration}
+    axes = axes_of(JOINTS, max_velocity=velocity, **most)
+    limits = Limits.of(axes)
+    assert not from_rest(trajectory, axes).remark
+    curve = bounded(paced(curve_of(trajectory), limits), limits)
+    assert curve.velocities is not None
+    np.testing.assert_allclose(curve.velocities[[0, -1]], 0, atol=1e-9)
+    fastest, steepest = sampled(curve, limits)
+    assert fastest <= 1 + NOTED
+    if not unlimited:
+        velocities = curve.evaluate(trajectory.times_s, 1)
+        assert_joins_the_points(curve, replace(trajectory, velocities=velocities))
+        # Positions have nine digits; and within 0.4 µs of a point nothing switches.
+        rounding = (12e-9 / step_s**2 + 1e-3) / acceleration
+        assert steepest <= 1 + NOTED + rounding + 16 * 4e-7 / step_s
+
+
+@pytest.mark.parametrize("step_s", STEPS_S)
+@pytest.mark.parametrize("seed", range(3))
+def test_positions_alone_of_planners_are_followed(seed: int, step_s: float) -> None:
+    """Within the limits where the planner kept them, else within the margins."""
+    trajectory = from_ruckig(seed, step_s=step_s)
+    assert not from_rest(alone(trajectory), planned_axes(trajectory)).remark
+    trajectory = from_toppra(seed, step_s=step_s)
+    axes = planned_axes(trajectory)
+    from_rest(alone(trajectory), axes)
+    limits = Limits.of(axes)
+    curve = bounded(paced(curve_of(alone(trajectory)), limits), limits)
+    fastest, steepest = sampled(curve, limits)
+    assert fastest <= 1 + MARGINS[1] and steepest <= 1 + MARGINS[2]
+
+
+def test_positions_that_no_motion_within_the_limits_passes_are_refused() -> None:
+    """1 rad in 1 s, from rest to rest, takes 4 rad/s² at least, or 1 rad/s all the time."""
+    points = Trajectory(("a",), np.array([0.0, 1.0]), np.array([[0.0], [1.0]]))
+    gentle = axes_of(("a",), max_velocity=3.0, max_acceleration=4.0 / 1.25)
+    with pytest.raises(TrajectoryError, match=r"joint 'a': acceleration"):
+        from_rest(points, gentle)
+    with pytest.raises(TrajectoryError, match=r"joint 'a': velocity"):
+        from_rest(points, axes_of(("a",), max_velocity=0.9))
+    remark = from_rest(points, axes_of(("a",), max_velocity=3.0, max_acceleration=4 / 1.1)).remark
+    assert "acceleration" in remark and "(10 % more)" in remark
+
+
+@settings(max_examples=25, deadline=None)
+@given(gentle(kinds=("positions",)), st.floats(1.0, 2.0))
+def test_positions_alone_keep_their_shape_where_that_keeps_the_limits(
+    trajectory: Trajectory, share: float
+) -> None:
+    curve = curve_of(trajectory)
+    same = paced(curve, Limits.of(limited(curve, share=share)))
+    t = np.linspace(0, curve.end_s, 1001)
+    np.testing.assert_allclose(same.evaluate(t), curve.evaluate(t), atol=1e-9)
