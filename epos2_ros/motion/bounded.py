@@ -6,7 +6,8 @@ the planner's own motion did not. So in a piece that does, an axis takes the cub
 and velocities if that keeps the limits, and else the motion with the least acceleration there is:
 up to some velocity with an acceleration, from there on with its opposite, and with the velocity
 limit in between where it would be exceeded. No motion between these positions and velocities gets
-by with less, so if the planner's kept the limits, this one does.
+by with less, so if the planner's kept the limits, this one does; if not, it exceeds the velocity,
+within its margin, rather than the acceleration.
 """
 
 from __future__ import annotations
