@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import ruckig
 import toppra
 from numpy.typing import NDArray
 from toppra.algorithm import TOPPRA
 from toppra.constraint import JointAccelerationConstraint, JointVelocityConstraint
+from trajectories import axes_of
 
+from epos2_ros.configuration.driver import AxisConfig
 from epos2_ros.motion.trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -74,6 +78,16 @@ def from_toppra(seed: int, points: int = 6, step_s: float = 0.1) -> Trajectory:
         raise ValueError(f"TOPP-RA finds no way with seed {seed}")
     times = np.append(np.arange(0, curve.duration - step_s / 2, step_s), curve.duration)
     return _published(times, np.stack([curve(times, order) for order in range(3)], axis=1))
+
+
+def planned_axes(trajectory: Trajectory) -> tuple[AxisConfig, ...]:
+    """Axes of six joints with the limits that the planners keep to."""
+    return tuple(
+        replace(axis, max_velocity=float(velocity), max_acceleration=float(acceleration))
+        for axis, velocity, acceleration in zip(
+            axes_of(trajectory.joint_names), MAX_VELOCITY, MAX_ACCELERATION, strict=True
+        )
+    )
 
 
 def _published(times_s: Array, states: Array) -> Trajectory:

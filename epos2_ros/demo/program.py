@@ -104,7 +104,7 @@ def run(arguments: argparse.Namespace, terminal: Terminal) -> int:
         terminal.line(f"drives as in {params.name}, ROS_DOMAIN_ID={machine.domain_id}")
         outputs = outputs_of(machine.parameters, trajectory.joint_names)
         observed = machine.run(trajectory, outputs, arguments.two_processes, terminal)
-        commanded = Commanded(trajectory, HOLD_S)
+        commanded = Commanded(trajectory, HOLD_S, machine.scales)
         report = Report.of(
             commanded,
             trajectory.joint_names,

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from epos2_ros.demo.commanded import Array, Commanded, Scale
+from epos2_ros.demo.commanded import MARGINS, Array, Commanded, Scale
 from epos2_ros.demo.outputs import Event, OutputResult
 from epos2_ros.demo.terminal import Terminal
 from epos2_ros.errors import Epos2RosError
@@ -18,6 +18,7 @@ from epos2_ros.errors import Epos2RosError
 MAX_SPREAD_US = 1.0
 MAX_FINAL_ERROR_QC = 0.5
 ROUNDING_QC = 1e-6  # two evaluations of one curve differ by so much at most
+WINDOWS_MS = (10, 20, 50, 100)  # over which velocity and acceleration are looked at
 MIN_LEVEL, MAX_LEVEL = 2, 64  # records in a drive's buffer while more are to come
 
 
@@ -70,7 +71,7 @@ class Executed:
 class AxisResult:
     scale: Scale
     executed: Executed
-    commanded_qc: Array  # [cycles]
+    commanded_qc: Array  # [cycles]; where the driver chooses the curve, the nearest that is right
     tolerance_qc: float
     records_sent: int
     final_error_qc: float
@@ -93,6 +94,36 @@ class AxisResult:
     def path_kept(self) -> bool:
         return self.path_error_qc <= self.tolerance_qc + ROUNDING_QC
 
+    def beyond_limits(self) -> str:
+        """In words by how much the joint is faster or accelerates more than it may; "" if it isn't.
+
+        Seen over some windows: on average it can't have more than it ever has. The executed curve
+        may be the tolerance beside one that keeps to limits and margins.
+        """
+        scale, off_qc = self.scale, self.tolerance_qc + ROUNDING_QC
+        path_qc, count = self.executed.demand_qc, len(self.executed.demand_qc)
+        limits = scale.max_velocity, scale.max_acceleration
+        for order, (quantity, most, margin) in enumerate(
+            zip(("velocity", "acceleration"), limits, MARGINS, strict=True), start=1
+        ):
+            for window_ms in WINDOWS_MS:
+                if not np.isfinite(most) or count <= order * window_ms:
+                    continue
+                steps, size_s = path_qc, window_ms / 1000
+                for _ in range(order):
+                    steps = steps[window_ms:] - steps[:-window_ms]
+                value = np.abs(steps) - 2**order * off_qc
+                value /= size_s**order * abs(scale.qc_per_unit)
+                worst = int(np.argmax(value))
+                if value[worst] > most * (1 + margin) * (1 + 1e-6):
+                    unit = scale.unit + ("/s", "/s²")[order - 1]
+                    at_s = self.executed.path_ms[worst] / 1000
+                    return (
+                        f"{quantity} {value[worst]:.4g} {unit} over {window_ms} ms from "
+                        f"{at_s:.3f} s, at most {most * (1 + margin):.4g}"
+                    )
+        return ""
+
     @property
     def end_kept(self) -> bool:
         return abs(self.final_error_qc) <= MAX_FINAL_ERROR_QC + ROUNDING_QC
@@ -107,6 +138,8 @@ class AxisResult:
         found = []
         if not self.path_kept:
             found.append(f"path error {self.path_error_qc:.2f} qc, at most {self.tolerance_qc:g}")
+        if beyond := self.beyond_limits():
+            found.append(beyond)
         if not self.buffer_kept:
             low, high = self.levels
             found.append(
@@ -143,14 +176,17 @@ class Report:
                 continue  # it holds
             column = joints.index(scale.joint)
             executed = Executed.load(log, scale.node_id)
-            t_s = executed.path_ms / 1000.0
+            between = commanded.between(executed.path_ms / 1000.0)
+            bounds_qc = scale.to_qc(np.array([side[:, column] for side in between]))
             target_qc = scale.to_qc(commanded.at(np.array([np.inf]))[0, column])
             reached_qc = scale.to_qc(np.float64(observed.positions[scale.joint]))
             axes.append(
                 AxisResult(
                     scale=scale,
                     executed=executed,
-                    commanded_qc=scale.to_qc(commanded.at(t_s)[:, column]),
+                    commanded_qc=np.clip(
+                        executed.demand_qc, bounds_qc.min(axis=0), bounds_qc.max(axis=0)
+                    ),
                     tolerance_qc=tolerance_qc,
                     records_sent=observed.records_sent[scale.joint],
                     final_error_qc=float(reached_qc - target_qc),

@@ -16,13 +16,16 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from planners import from_ruckig, from_toppra, planned_axes
 
+from epos2_ros.configuration.driver import DriverConfig
 from epos2_ros.configuration.files import read_parameters
-from epos2_ros.demo.commanded import Commanded, Scale, scales
+from epos2_ros.demo.commanded import HOLD_S, Commanded, Scale, scales
 from epos2_ros.demo.outputs import Crossing, OutputResult, expected_of
 from epos2_ros.demo.report import Observed, Report
 from epos2_ros.demo.terminal import Terminal, bar
 from epos2_ros.motion.trajectory import Trajectory
+from epos2_ros.plan.planning import make_plan
 
 CYCLES = 2000
 TURN_QC = 200_000  # 2000 counts and gear 100
@@ -197,6 +200,97 @@ def test_only_the_last_motion_counts(ran):
         before = np.arange(1, 31) if name.endswith("path_ms") else np.full(30, 99_999)
         ran.columns[name] = np.concatenate([before, values])
     assert ran.report().failures() == []
+
+
+# -- plans at the limits of the joints, where the driver chooses the curve -------------------
+
+
+class Planned:
+    """A plan at the limits as the driver's records have it executed, to be spoilt."""
+
+    def __init__(self, trajectory: Trajectory, folder: Path) -> None:
+        config = DriverConfig(planned_axes(trajectory))
+        plan = make_plan(trajectory, config, trajectory.positions[0].tolist())
+        self.trajectory, self.log = trajectory, folder / "log.npz"
+        self.scales = [
+            Scale(
+                *(axis.joint, axis.node_id, "epos2", "rad", TURN_QC / (2 * np.pi), 0.0),
+                *(axis.max_velocity or np.inf, axis.max_acceleration or np.inf),
+            )
+            for axis in config.axes
+        ]
+        self.demand_qc = [axis.samples(1).executed.position_qc for axis in plan.axes]
+
+    def failures(self) -> list[str]:
+        columns: dict[str, Any] = {}
+        for scale, demand_qc in zip(self.scales, self.demand_qc, strict=True):
+            path_ms = np.arange(len(demand_qc))
+            node = f"node_{scale.node_id}"
+            columns[f"{node}_time_us"] = path_ms * 1000.0
+            columns[f"{node}_path_ms"] = path_ms
+            columns[f"{node}_demand_qc"] = demand_qc
+            columns[f"{node}_buffer_level"] = np.full(len(demand_qc), 9)
+        np.savez(self.log, **columns)
+        commanded = Commanded(self.trajectory, HOLD_S, self.scales)
+        ends = commanded.at(np.array([np.inf]))[0]
+        joints = self.trajectory.joint_names
+        observed = Observed(
+            dict.fromkeys(joints, 1), dict(zip(joints, ends.tolist(), strict=True)), {}, 30, 9.5
+        )
+        return Report.of(
+            commanded, joints, self.scales, self.log, observed, 1_000_000, tolerance_qc=1.0
+        ).failures()
+
+
+@pytest.mark.parametrize("step_s", [0.1, 0.02])
+@pytest.mark.parametrize("planner", [from_toppra, from_ruckig])
+@pytest.mark.parametrize("velocities", [True, False], ids=["velocities", "positions alone"])
+def test_a_plan_at_the_limits_is_right_with_every_curve_that_keeps_them(
+    velocities, planner, step_s, tmp_path
+):
+    message = planner(2, step_s=step_s)
+    if not velocities:
+        message = replace(message, velocities=None, accelerations=None)
+    assert Planned(message, tmp_path).failures() == []
+
+
+@pytest.mark.parametrize("velocities", [True, False], ids=["velocities", "positions alone"])
+def test_between_the_points_of_a_plan_not_every_curve_is_right(velocities, tmp_path):
+    """Points missed by 2 counts; a swerve between two of them; or, of positions alone, the
+    polynomials after all, which have several times the acceleration."""
+    message = from_toppra(2)
+    if not velocities:
+        message = replace(message, velocities=None, accelerations=None)
+    there = Planned(message, tmp_path)
+    right = there.demand_qc
+    t_s = np.arange(len(right[0])) / 1000 - HOLD_S
+    there.demand_qc = [right[0] + 2.1, *right[1:]]
+    assert there.failures()[0].startswith("joint_1: path error ")
+    swerve_qc = 100 * np.sin(np.pi * np.clip((t_s - 2.0) / 0.1, 0, 1)) ** 2
+    there.demand_qc = [*right[:3], right[3] + swerve_qc, *right[4:]]
+    assert any(failure.startswith("joint_4: ") for failure in there.failures())
+    if not velocities:
+        curve = Commanded(message).at(t_s).T
+        there.demand_qc = [s.to_qc(q) for s, q in zip(there.scales, curve, strict=True)]
+        assert any(": acceleration " in failure for failure in there.failures())
+
+
+def test_within_its_limits_a_joint_has_to_follow_the_polynomials(tmp_path):
+    """Others may be chosen for pieces only that exceed a limit."""
+    slow = np.array([[0.0], [0.4], [0.8], [1.0]])
+    points = trajectory([0.0, 1.0, 2.0, 3.0], slow, velocities=[[0], [0.4], [0.3], [0]])
+    scale = Scale("j0", 1, "epos2", "rad", TURN_QC / (2 * np.pi), 0.0, 1.0, 2.0)
+    commanded, t_s = Commanded(points, scales=[scale]), np.linspace(0, 3, 301)
+    low, high = commanded.between(t_s)
+    np.testing.assert_array_equal(low, high)
+    np.testing.assert_array_equal(low, commanded.at(t_s))
+    # The first piece begins with 6·0.4 − 2·0.4 = 1.6 rad/s², the others stay below.
+    tight = Commanded(points, scales=[replace(scale, max_acceleration=1.5)])
+    low, high = tight.between(t_s)
+    differs = (low < high).any(axis=1)
+    assert differs[(t_s > 0.05) & (t_s < 0.95)].all() and not differs[t_s > 1].any()
+    # From rest with 1.2 times 1.5 rad/s².
+    assert high[5, 0] == pytest.approx(0.9 * 0.05**2)
 
 
 # -- position-triggered outputs --------------------------------------------------------------

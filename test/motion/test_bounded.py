@@ -5,16 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import planners
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from planners import from_ruckig, from_toppra
+from planners import from_ruckig, from_toppra, planned_axes
 from simulated_time import Bench
 from trajectories import JOINTS, axes_of, curve_of, from_rest, gentle, limited
 
 from epos2_ros.bus.settings import ACCELERATION_HEADROOM, VELOCITY_HEADROOM
-from epos2_ros.configuration.driver import AxisConfig, DriverConfig
+from epos2_ros.configuration.driver import DriverConfig
 from epos2_ros.errors import TrajectoryError
 from epos2_ros.motion.bounded import bounded
 from epos2_ros.motion.curve import Curve
@@ -27,19 +26,6 @@ from epos2_ros.protocol.group import Phase
 
 STEPS_S = (0.1, 0.05, 0.02, 0.01)  # 10 to 100 Hz
 BUDGET = settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-
-
-def planned_axes(trajectory: Trajectory) -> tuple[AxisConfig, ...]:
-    """Axes with the limits that the planners keep to."""
-    return tuple(
-        replace(axis, max_velocity=float(velocity), max_acceleration=float(acceleration))
-        for axis, velocity, acceleration in zip(
-            axes_of(trajectory.joint_names),
-            planners.MAX_VELOCITY,
-            planners.MAX_ACCELERATION,
-            strict=True,
-        )
-    )
 
 
 def switched(
