@@ -28,7 +28,6 @@ from control_msgs.srv import QueryTrajectoryState
 from numpy.typing import NDArray
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import GoalEvent, ServerGoalHandle
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.lifecycle import LifecycleNode
 from trajectory_msgs.msg import JointTrajectoryPoint
 
@@ -39,6 +38,7 @@ from epos2_ros.errors import Epos2RosError, TrajectoryError, UnfinishedTrajector
 from epos2_ros.motion.tolerance import JointTolerance, Tolerances
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.node.goal import CANCELED_EARLY, INVALID_GOAL, Outcome, Pursuit, Status, refused
+from epos2_ros.node.lanes import Lanes
 from epos2_ros.protocol.execution import Execution
 
 CLOSING_S = 1.0  # for clients to be told the last results when the node ends
@@ -73,6 +73,7 @@ class TrajectoryAction:
     def __init__(
         self,
         node: LifecycleNode,
+        lanes: Lanes,
         active_driver: Callable[[], Driver],
         received: Callable[[Trajectory], Trajectory],
         to_ros: Callable[[float], Time],
@@ -91,11 +92,8 @@ class TrajectoryAction:
         self._state = node.create_publisher(
             JointTrajectoryControllerState, "~/controller_state", 10
         )
-        node.create_service(
-            QueryTrajectoryState,
-            "~/query_state",
-            self._on_query,
-            callback_group=MutuallyExclusiveCallbackGroup(),
+        lanes.answers(
+            "query", node.create_service(QueryTrajectoryState, "~/query_state", self._on_query)
         )
         self._server = ActionServer(
             node,
@@ -103,7 +101,6 @@ class TrajectoryAction:
             # rcl applies remapping rules to an action's topics and services, not to its name.
             node.resolve_service_name("~/follow_joint_trajectory"),
             execute_callback=lambda handle: FollowJointTrajectory.Result(),
-            callback_group=MutuallyExclusiveCallbackGroup(),
             goal_callback=self._on_goal,
             handle_accepted_callback=self._on_accepted,
             cancel_callback=self._on_cancel,

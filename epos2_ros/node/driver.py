@@ -2,8 +2,8 @@
 
 It translates messages and owns no motion logic. What this file keeps to:
 
-* A blocking service or transition never stalls a topic: each blocking callback has its own
-  callback group, and the executor has a thread for every group.
+* A blocking service or transition never stalls a topic, nor another: what blocks runs in `lanes`,
+  and the executor's one thread goes on.
 * Transitions follow one another: whoever asks (a service, autostart, Ctrl-C) holds
   `_transitions` meanwhile.
 * What goes wrong on purpose (`Epos2RosError`) is one log line and a refused transition or
@@ -31,14 +31,14 @@ import rclpy
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock, ClockType, ROSClock
-from rclpy.executors import Executor, MultiThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.logging import LoggingSeverity
 from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -56,6 +56,7 @@ from epos2_ros.errors import Epos2RosError, TrajectoryError
 from epos2_ros.motion.move import target_of
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.node import messages
+from epos2_ros.node.lanes import Lanes, events_executor, spin
 from epos2_ros.node.log_lines import LogLines
 from epos2_ros.node.parameters import Parameters
 from epos2_ros.node.serialized import read_trajectory
@@ -65,9 +66,6 @@ from epos2_ros.protocol.outputs.outputs import OutputEvent
 if TYPE_CHECKING:
     from epos2_ros.node.action import TrajectoryAction
 
-# Lifecycle and parameters, trajectory, moves and outputs, four services, topics, the action, the
-# results of its goals, the query of its state; one to spare.
-EXECUTOR_THREADS = 12
 DIAGNOSTICS_PERIOD_S = 1.0
 EVENTS_KEPT = 1000  # of an output, for a subscriber that is slow: they come in bursts
 CLOCK_READINGS = 3
@@ -119,6 +117,7 @@ class DriverNode(LifecycleNode):
         self._driver: Driver | None = None
         self._active = False
         self._lines = LogLines()
+        self._lanes = Lanes(self.broke)
         self._transitions = threading.RLock()
         self._declared = Parameters(
             self, changeable=lambda: self._driver is None, set_output=self._set_output
@@ -127,7 +126,6 @@ class DriverNode(LifecycleNode):
         self._clock_limits = ClockLimits()
         self._effort_told = False
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._topics_group = MutuallyExclusiveCallbackGroup()
         self._topic_timers: list[rclpy.timer.Timer] = []
 
         self._joint_states = self.create_publisher(JointState, "joint_states", 10)
@@ -136,14 +134,12 @@ class DriverNode(LifecycleNode):
         self.create_subscription(
             JointTrajectory,
             "~/joint_trajectory",
-            self._on_trajectory,
+            self._lanes.takes("trajectory", self._on_trajectory),
             10,
-            callback_group=MutuallyExclusiveCallbackGroup(),
             raw=True,
         )
-        brief = MutuallyExclusiveCallbackGroup()
         self.create_subscription(
-            JointTrajectory, "~/move_to", self._on_move_to, 10, callback_group=brief
+            JointTrajectory, "~/move_to", self._lanes.takes("moves", self._on_move_to), 10
         )
         self._output_events: dict[str, Publisher] = {}
         for output in self._declared.outputs:
@@ -152,9 +148,8 @@ class DriverNode(LifecycleNode):
             self.create_subscription(
                 Float64MultiArray,
                 f"{at}/positions",
-                functools.partial(self._on_positions, output),
+                self._lanes.takes("outputs", functools.partial(self._on_positions, output)),
                 10,
-                callback_group=brief,
             )
         self._offer(SetBool, "~/enable", self._on_enable)
         self._offer_trigger("~/halt", "halted", lambda driver: driver.halt())
@@ -167,13 +162,17 @@ class DriverNode(LifecycleNode):
             from epos2_ros.node.action import TrajectoryAction
 
             self._action = TrajectoryAction(
-                self, self._activated, self._received, self._ros_time, self._host_us
+                self, self._lanes, self._activated, self._received, self._ros_time, self._host_us
             )
 
         self._answer_change_state = self._service_change_state.callback
         self._service_change_state.callback = self._on_change_state
+        self._lanes.answers("transitions", self._service_change_state)
+        for service in self.services:  # an output's parameter is changed in its drive
+            if service.srv_type in (SetParameters, SetParametersAtomically):
+                self._lanes.answers("outputs", service)
         if self._declared["autostart"]:
-            self._autostart_timer = self.create_timer(0.0, self._autostart, clock=self._steady)
+            self._autostart_timer = self.create_timer(0.001, self._autostart, clock=self._steady)
         else:
             self._say_what_is_next("unconfigured", "configure")
             self._warn_of_parameters()
@@ -199,7 +198,7 @@ class DriverNode(LifecycleNode):
         if self._action is not None:
             self._action.configured(config)
         self._topic_timers = [
-            self.create_timer(period, publish, self._topics_group, clock=self._steady)
+            self.create_timer(period, publish, clock=self._steady)
             for period, publish in (
                 (1.0 / self._declared["state_rate"], self._publish_states),
                 (1.0 / self._declared["status_rate"], self._publish_buffer_status),
@@ -275,8 +274,16 @@ class DriverNode(LifecycleNode):
             driver.close()
             gc.unfreeze()
 
+    def destroy_node(self) -> None:
+        """After the executor's end."""
+        self._lanes.close()
+        super().destroy_node()
+
     def _autostart(self) -> None:
-        self._autostart_timer.cancel()
+        self.destroy_timer(self._autostart_timer)
+        self._lanes.run("transitions", self._start)
+
+    def _start(self) -> None:
         with self._transitions:
             if self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
                 self.trigger_activate()
@@ -433,7 +440,7 @@ class DriverNode(LifecycleNode):
     # -- services ----------------------------------------------------------------------------
 
     def _offer(self, kind: Any, name: str, answer: Callable[[Any, Any], Any]) -> None:
-        self.create_service(kind, name, answer, callback_group=MutuallyExclusiveCallbackGroup())
+        self._lanes.answers(name, self.create_service(kind, name, answer))
 
     def _offer_trigger(self, name: str, done: str, action: Callable[[Driver], None]) -> None:
         def answer(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -482,16 +489,6 @@ class DriverNode(LifecycleNode):
         return driver
 
 
-def spin(executor: Executor, node: DriverNode, stopped: threading.Event) -> None:
-    """Run callbacks until the executor is shut down after `stopped`; none that raises ends it."""
-    while node.context.ok() and not stopped.is_set():
-        try:
-            executor.spin()
-        except Exception as error:
-            if not stopped.is_set():  # else the executor, whose parts are already gone
-                node.broke("a callback", error)
-
-
 def main(argv: Sequence[str] | None = None) -> int:
     """`epos2_ros driver`: until Ctrl-C, SIGTERM or SIGHUP; then stops on the path and returns 0."""
     args = sys.argv[1:] if argv is None else list(argv)
@@ -502,7 +499,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     # rclpy's own handlers would end the context at once, and the topics with it; here the motion
     # is brought to a stop first. The main thread does nothing but wait, so it gets the signal.
-    asked_to_stop, stopped = threading.Event(), threading.Event()
+    asked_to_stop, ended = threading.Event(), Future()
     signals: list[str] = []
 
     def on_signal(number: int, _: object) -> None:
@@ -535,7 +532,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     slow, line = surroundings.compiling()
     if line:
         (logger.warning if slow else logger.info)(line)
-    executor = MultiThreadedExecutor(EXECUTOR_THREADS)
+    executor = events_executor()
     executor.add_node(node)
     threading.excepthook = lambda failed: node.broke(
         f"thread {failed.thread.name if failed.thread else ''}",
@@ -543,7 +540,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
 
     spinning = threading.Thread(
-        target=spin, args=(executor, node, stopped), name="executor", daemon=True
+        target=spin, args=(executor, ended, node.broke), name="executor", daemon=True
     )
     spinning.start()
     # Handlers run in this thread only, and a signal that the kernel has handed to another does not
@@ -553,9 +550,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     for name in signals:
         logger.info(f"{name}: stopping")
     node.shut_down()
-    stopped.set()
-    executor.shutdown()
+    ended.set_result(None)
     spinning.join()
+    executor.shutdown()
     node.destroy_node()
     rclpy.shutdown()
     return 0

@@ -22,9 +22,10 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.action import ActionClient
 from rclpy.context import Context
-from rclpy.executors import MultiThreadedExecutor, SingleThreadedExecutor
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -34,7 +35,8 @@ from control_msgs.action import FollowJointTrajectory  # noqa: E402
 from control_msgs.msg import JointTolerance, JointTrajectoryControllerState  # noqa: E402
 from control_msgs.srv import QueryTrajectoryState  # noqa: E402
 
-from epos2_ros.node.driver import EXECUTOR_THREADS, SWITCH_INTERVAL_S, DriverNode  # noqa: E402
+from epos2_ros.node.driver import SWITCH_INTERVAL_S, DriverNode  # noqa: E402
+from epos2_ros.node.lanes import events_executor, spin  # noqa: E402
 
 WAIT_S = 30.0  # for something that must happen; reached only when it does not
 START_S = 100.0  # likewise, with compiling the search for records on a busy machine
@@ -69,15 +71,14 @@ class World:
         overrides = [Parameter(name, value=value) for name, value in PARAMETERS.items()]
         self.node = DriverNode(context=self.context, parameter_overrides=overrides)
         self.client = Node("client", context=self.context)
-        self._executors = [
-            MultiThreadedExecutor(EXECUTOR_THREADS, context=self.context),
-            SingleThreadedExecutor(context=self.context),
-        ]
+        self._executors = [events_executor(self.context) for _ in range(2)]
+        self._ended = Future()
         self._threads = []
         for executor, node in zip(self._executors, (self.node, self.client), strict=True):
             executor.add_node(node)
-            self._threads.append(threading.Thread(target=executor.spin, daemon=True))
-            self._threads[-1].start()
+            loop = threading.Thread(target=spin, args=(executor, self._ended, self.node.broke))
+            self._threads.append(loop)
+            loop.start()
         name = "/epos2_driver/follow_joint_trajectory"
         self.action = ActionClient(self.client, FollowJointTrajectory, name)
         assert self.action.wait_for_server(WAIT_S)
@@ -148,10 +149,11 @@ class World:
 
     def close(self) -> None:
         self.node.shut_down()
-        for executor in self._executors:
-            executor.shutdown()
+        self._ended.set_result(None)
         for thread in self._threads:
             thread.join(WAIT_S)
+        for executor in self._executors:
+            executor.shutdown()
         self.client.destroy_node()
         self.node.destroy_node()
         self.context.shutdown()

@@ -25,9 +25,10 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.context import Context
-from rclpy.executors import MultiThreadedExecutor, SingleThreadedExecutor
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.task import Future
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
@@ -42,7 +43,8 @@ from epos2_ros.demo.witness import Witness
 from epos2_ros.errors import BusError, DriveError, Epos2RosError, TrajectoryError
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.node import messages
-from epos2_ros.node.driver import EXECUTOR_THREADS, DriverNode, main, spin
+from epos2_ros.node.driver import DriverNode, main
+from epos2_ros.node.lanes import events_executor, spin
 from epos2_ros.protocol.outbox import Event
 from epos2_ros.protocol.outputs.outputs import OutputEvent, Tally
 
@@ -172,17 +174,17 @@ class World:
         self.node: DriverNode | None = None
         self._executors = [
             SingleThreadedExecutor(context=self.context),
-            MultiThreadedExecutor(EXECUTOR_THREADS, context=self.context),
+            events_executor(self.context),
         ]
         self._executors[0].add_node(self.peer)
         self._threads: list[threading.Thread] = []
-        self._stopped = threading.Event()
+        self._ended = Future()
         self._spin(self._executors[0])
 
     def _spin(self, executor: Any, node: DriverNode | None = None) -> None:
         thread = threading.Thread(target=executor.spin, daemon=True)
         if node is not None:
-            thread = threading.Thread(target=spin, args=(executor, node, self._stopped))
+            thread = threading.Thread(target=spin, args=(executor, self._ended, node.broke))
         thread.start()
         self._threads.append(thread)
 
@@ -275,11 +277,13 @@ class World:
             driver.failures.clear()
         if self.node is not None:
             self.node.shut_down()
-        self._stopped.set()
+        self._ended.set_result(None)
         for executor in self._executors:
-            executor.shutdown()
+            executor.shutdown(timeout_sec=0)
         for thread in self._threads:
             thread.join(WAIT_S)
+        for executor in self._executors:
+            executor.shutdown()
         self.peer.destroy_node()
         if self.node is not None:
             self.node.destroy_node()
