@@ -32,6 +32,7 @@ HOST_HEARTBEAT_TIMEOUT_MS = 500  # the drive stops by itself when the host is si
 GUARD_TIME_MS, LIFE_TIME_FACTOR = 100, 5  # likewise: the product
 GOES_ON = "it would go on moving when the host falls silent"
 STATE_TIMEOUT_S = 5.0
+QUICK_STOP_LIMIT_S = 2.5
 ERROR_FIELD = 0x1003
 
 
@@ -160,7 +161,11 @@ class Cia402Node:
         raise AssertionError
 
     def _leave_operation(self) -> None:
-        """Power off, faults reset: from whatever state an earlier host has left."""
+        """Power off, faults reset: from whatever state an earlier host has left.
+
+        An axis that may be moving is stopped first, or it would coast.
+        """
+        self._quick_stop()
         since, told = time.monotonic(), None
         while True:
             state = cia402.state_of(self.objects.read(epos2.STATUSWORD))
@@ -177,6 +182,21 @@ class Cia402Node:
                     self._command(controlword, "reset its fault")
                 elif controlword is not None:
                     self._command(controlword, "disable voltage")
+
+    def _quick_stop(self) -> None:
+        """Until it rests by its own word, or for as long as a ramp may take."""
+        statusword = self.objects.read(epos2.STATUSWORD)
+        if cia402.state_of(statusword) is State.OPERATION_ENABLED:
+            self._command(cia402.QUICK_STOP, "quick stop")
+        until = time.monotonic() + QUICK_STOP_LIMIT_S
+        while time.monotonic() < until:
+            statusword = self.objects.read(epos2.STATUSWORD)
+            state = cia402.state_of(statusword)
+            stopping = state in (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE)
+            if not stopping and state is not State.FAULT_REACTION_ACTIVE:
+                return
+            if state is State.QUICK_STOP_ACTIVE and statusword & cia402.TARGET_REACHED:
+                return
 
     def _command(self, controlword: int, what: str) -> None:
         name = self.objects.name(epos2.CONTROLWORD)

@@ -215,13 +215,23 @@ class Driver:
 
     def _bring_up_drive(self, drive: Drive) -> None:
         statusword = self._nodes[drive].configure()
-        self._reactor.call(lambda: self._group.reconfigured(drive, statusword, now_us()))
         self._identify(drive)
+        self._reactor.call(lambda: self._group.reconfigured(drive, statusword, now_us()))
         self._outputs.arm(drive.joint)
 
     def _identify(self, drive: Drive) -> None:
-        """Ask a drive who it is, and say so unless that is known."""
+        """Ask a drive who it is, and say so unless that is known.
+
+        DriveError for another model in its place: what it was told may not be meant for that one.
+        """
         identity = read_identity(self._nodes[drive].node)
+        known = self._identities.get(drive.joint, identity)
+        if not identity.same_model(known):
+            raise DriveError(
+                f"{drive} was a {known.maker} {known.product} and is now a {identity.maker} "
+                f"{identity.product}: put one like it in its place, or configure the driver anew "
+                "if this one is to stay"
+            )
         if self._identities.get(drive.joint) != identity:
             self._identities = {**self._identities, drive.joint: identity}
             text = f"{drive.joint} (node {drive.node_id}): {identity}"

@@ -52,6 +52,7 @@ class Drive:
         self.operation = setup.family.rest_operation  # 0x6060, as it was last set
         self.statusword = 0
         self.statusword_us = -math.inf
+        self.off_reports = 0  # in a row that name another state than "operation enabled"
         self.active_us = -math.inf  # when bit 12 was last reported set
         self.buffer_status = 0
         self.position_qc: int | None = None
@@ -68,6 +69,7 @@ class Drive:
         self.sync_us = -math.inf  # when the last SYNC was
         self.asked_us = -math.inf  # when the last SDO request to it was on the bus
         self.restarted = False
+        self.not_operational = 0  # heartbeats in a row that say so
         self.homed = ""  # the method by which it was referenced; "": it was not
         self._borrowed: dict[tuple[int, int], SdoWrite] = {}  # what is to be there again
         self.demand: Demand | None = None  # what it was last told to do; None: not known
@@ -126,6 +128,7 @@ class Drive:
         """A statusword, from a PDO or read at bring-up."""
         self.statusword = statusword
         self.statusword_us = t_us
+        self.off_reports = 0 if self.state is State.OPERATION_ENABLED else self.off_reports + 1
         if statusword & cia402.OPERATION_MODE_SPECIFIC:
             self.active_us = t_us
 

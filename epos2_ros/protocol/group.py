@@ -30,18 +30,22 @@ from epos2_ros.protocol import cia402, epos2
 from epos2_ros.protocol.cia402 import State
 from epos2_ros.protocol.drive import Drive, names
 from epos2_ros.protocol.frame import Frame
+from epos2_ros.protocol.intake import BOOT_UP, NMT_START, TOGGLE_BIT
 from epos2_ros.protocol.modes.mode import Mode
 from epos2_ros.protocol.outbox import Outbox
 from epos2_ros.protocol.path_time import PathTime
 from epos2_ros.protocol.sdo import SdoRead, SdoWrite
 from epos2_ros.protocol.silence import Silence
 from epos2_ros.protocol.synchronous import SynchronousControlwords
-from epos2_ros.protocol.timekeeper import LEAD_US, Timekeeper
+from epos2_ros.protocol.timekeeper import LEAD_US, OPERATIONAL, Timekeeper
 
 SETTLING_SYNCS = 10  # as many periods, and REPLY_TIMEOUT_US, has a group to be ready in
 REPLY_TIMEOUT_US = 1_000_000.0  # for one step of a drive that has been told something
 READY_TIMEOUT_US = 3_000_000.0  # for a mode to be set, and what it takes to stand in it
 RESEND_US = 200_000.0  # a controlword without effect so long is sent again
+UNKNOWN_MODE = 0  # of operation
+OFF_REPORTS = 2  # in a row: a drive has left "operation enabled"
+NOT_OPERATIONAL = 2  # heartbeats in a row that say so: a drive has left NMT operational
 STALE_US = 20_000.0  # so long after a controlword a drive may report what was before it, …
 QUIET_US = 300_000.0  # … and so long after it would have reported what became of one before
 STOP_TIMEOUT_US = 5_000_000.0  # for an axis to come to rest after a halt or quick stop
@@ -77,6 +81,7 @@ IN_MOTION = NOT_BEGUN | BEGUN
 _GETTING_ENABLED = frozenset(
     {Phase.ENABLING, Phase.READYING, Phase.SETTLING, Phase.CANCELLING, Phase.STANDING} | IN_MOTION
 )
+_ENABLED = _GETTING_ENABLED - {Phase.ENABLING}
 _WALK_TARGET = {
     Phase.ENABLING: State.OPERATION_ENABLED,
     Phase.DISABLING: State.READY_TO_SWITCH_ON,
@@ -143,6 +148,8 @@ class Group:
         self._why = ""  # the axes were halted, …
         self._when = ""  # … and how long after the start
         self._silence = Silence(len(rest))
+        self._unheard: set[Drive] = set()  # were silent, and not brought up since
+        self._lost: set[Drive] = set()  # to be brought up anew
         self._moved = True  # the axes, since their demand was last read
         self._phase_us = -math.inf  # since when the group is in this phase
         self._handing_over = False  # a mode has more to give its drives
@@ -163,6 +170,9 @@ class Group:
         self._seen_us = t_us
         if frame.can_id == epos2.SYNC and echo is self.time.produces:
             self._on_sync(t_us)
+        elif frame.can_id == epos2.NMT:
+            if not echo and len(frame.data) == 2:
+                self._on_nmt(*frame.data)
         elif drive := self._by_node.get(frame.can_id & 0x7F):
             if echo:
                 self._on_echo(drive, frame.can_id & 0x780, t_us)
@@ -192,9 +202,7 @@ class Group:
             if drive.on_emergency(frame.data):
                 self._trouble()
         elif function == epos2.HEARTBEAT:
-            if frame.data == b"\x00":  # boot-up: its configuration is gone
-                drive.restarted = True
-                self._trouble()
+            self._on_heartbeat(drive, frame.data)
         elif function == epos2.SDO_ANSWER:
             self._off_path(drive, self._mode_of(drive).on_answer(drive, frame.data, t_us))
         else:
@@ -204,6 +212,33 @@ class Group:
             self._trouble()
         if self.phase is Phase.DISABLED and drive.state is State.OPERATION_ENABLED:
             self._tell(drive, cia402.SHUTDOWN)  # whatever has enabled it
+
+    def _on_heartbeat(self, drive: Drive, data: bytes) -> None:
+        """Or its answer to life guarding, which has a toggle bit.
+
+        One may have waited since before the NMT start.
+        """
+        if data == BOOT_UP:  # its configuration is gone
+            drive.restarted = True
+            self._trouble()
+        elif data[0] & ~TOGGLE_BIT == OPERATIONAL[0]:
+            drive.not_operational = 0
+        else:
+            drive.not_operational += 1
+            if drive.not_operational == NOT_OPERATIONAL:
+                self._trouble()
+
+    def _on_nmt(self, command: int, node_id: int) -> None:
+        """Another master's: what it stops does not listen to us any more."""
+        if command != NMT_START:
+            for drive in self.drives:
+                if node_id in (0, drive.node_id):
+                    drive.not_operational = NOT_OPERATIONAL
+                    self._lost.add(drive)
+            if self.phase is Phase.HALTING:  # what was sent may come too late
+                self._halt_all()
+            else:
+                self._trouble()
 
     def _heard(self, drive: Drive, t_us: float) -> None:
         drive.heard_us = t_us
@@ -218,6 +253,8 @@ class Group:
         """What a mode says of what its drive reports, where it matters."""
         if not wrong:
             return
+        if self.phase in IN_MOTION or self.phase is Phase.STANDING:
+            self._lost.add(drive)  # somebody may have told it something else
         if self.phase in IN_MOTION:
             self.fail(f"{drive}: {wrong}")
         elif self.phase is Phase.STANDING:
@@ -247,6 +284,8 @@ class Group:
         for drive in self.drives:
             drive.sync_us = t_us
         self.time.on_sync(t_us, begins_path=starts)
+        if starts:
+            self.path_time.late_us = self.time.seen_late_us if self.time.produces else 0.0
         for drive in self.drives:
             begins = starts and drive in self._taking_part
             self._off_path(drive, self._mode_of(drive).on_sync(drive, t_us, begins))
@@ -394,11 +433,13 @@ class Group:
 
     def reconfigured(self, drive: Drive, statusword: int, now_us: float) -> None:
         """A drive was brought up anew and answers with `statusword`."""
-        if drive.restarted:
+        if drive.restarted or drive in self._unheard:
             drive.homed = ""
         if statusword & drive.family.referenced_bit:
             drive.homed = drive.homed or "by an earlier host"
-        drive.restarted = False
+        drive.restarted, drive.not_operational = False, 0
+        self._lost.discard(drive)
+        self._unheard.discard(drive)
         self.out.forget(drive.node_id)  # whatever became of what it was asked
         drive.operation = drive.family.rest_operation
         self._heard(drive, now_us)
@@ -440,13 +481,22 @@ class Group:
         )
 
     def lost(self) -> list[Drive]:
-        """To be brought up anew: restarted, silent, clock astray, or without their SYNC."""
+        """To be brought up anew, until they are (`reconfigured`).
+
+        Restarted, not operational, clock astray, or without their SYNC; once silent, as they may
+        have restarted meanwhile; without something that was to be written to them; or not doing
+        what they were told, so that what they are told by may not be what it was.
+        """
         missing = self.time.producer if self.time.sync_missing(self._now_us) else None
-        return [
+        self._lost |= {
             drive
             for drive in self.drives
-            if drive.restarted or self.silent(drive) or self._astray(drive) or drive is missing
-        ]
+            if self._away(drive)
+            or drive.node_id in self.out.half_written
+            or self._astray(drive)
+            or drive is missing
+        }
+        return [drive for drive in self.drives if drive in self._lost]
 
     def describe_phase(self) -> str:
         """The phase in words, with the reason where there is one."""
@@ -457,6 +507,9 @@ class Group:
     def advance(self, now_us: float) -> None:
         """Do what is due at `now_us`, and set `deadline_us`."""
         self._now_us = self._seen_us = now_us
+        if self.phase in BEGUN and self.time.path_began_us is not None:
+            self.path_time.correct(self.time.path_began_us)
+            self.time.path_began_us = None
         self._watch_drives()
         self._watch_words()
         self._progress()
@@ -561,6 +614,7 @@ class Group:
         if not waiting:
             self._walked()
         elif self._now_us > self._phase_us + STOP_TIMEOUT_US:
+            self._lost.update(waiting)
             self._settle_fault(
                 f"{self.phase.value}: "
                 + "; ".join(
@@ -652,6 +706,8 @@ class Group:
 
     def _answer_of(self, drive: Drive) -> Callable[[Sequence[int], str], None]:
         def then(values: Sequence[int], error: str) -> None:
+            if error:
+                drive.operation = UNKNOWN_MODE
             if error and self.phase is not Phase.FAULT:
                 self.fail(error)
 
@@ -672,6 +728,7 @@ class Group:
         """Whether drives have not done yet what they were told by SDO."""
         waiting = [drive for drive in self.drives if drive.node_id in self.out.unanswered]
         if waiting and self._now_us > self._phase_us + READY_TIMEOUT_US:
+            self._lost.update(waiting)
             self._settle_fault(f"{self.phase.value}: no answer from {names(waiting)}")
         return bool(waiting)
 
@@ -688,6 +745,7 @@ class Group:
                 mode.on_rest(drive)
             self._stand()
         elif self._now_us > self._phase_us + timeout_us:
+            self._lost.update(late)
             self._settle_fault(
                 f"no answer to SYNC from {names(late)}"
                 if late
@@ -775,6 +833,7 @@ class Group:
                 }
                 self._words.send(starts, self._now_us)
         elif self._now_us > self._handed_over_us + timeout_us:
+            self._lost.update(self._taking_part)
             self._stop_all(missing)
 
     def _arm_due_us(self) -> float:
@@ -839,6 +898,7 @@ class Group:
             return
         for mode, late in missing:
             if all(drive.heard_us > start_us + mode.confirm_timeout_us for drive in late):
+                self._lost.update(late)
                 where = ", ".join(f"{drive} ({drive.state.value})" for drive in late)
                 self._stop_all(f"{mode.unconfirmed_words}: {where}")
                 return
@@ -926,9 +986,15 @@ class Group:
         self._enter(Phase.HALTING)
         self._end_modes()
         for drive in self.drives:
+            self._make_listen(drive)
             if drive.state is State.OPERATION_ENABLED:
                 bits = cia402.HALT | (braking[drive].brakes_with if drive in braking else 0)
                 self.out.frames.append(drive.controlword(cia402.ENABLE_OPERATION | bits))
+
+    def _make_listen(self, drive: Drive) -> None:
+        """Who has left NMT operational hears no controlword; his PDOs are as they were mapped."""
+        if drive.not_operational >= NOT_OPERATIONAL and not drive.restarted:
+            self.out.frames.append(Frame(epos2.NMT, bytes((NMT_START, drive.node_id))))
 
     def _quick_stop(self) -> None:
         self._words.take_back(self._now_us, cia402.QUICK_STOP)
@@ -938,6 +1004,7 @@ class Group:
         self._end_modes()
         self._enter(Phase.QUICK_STOPPING)
         for drive in self.drives:
+            self._make_listen(drive)
             if drive.state is not State.FAULT:  # also who is about to be enabled
                 self._tell(drive, cia402.QUICK_STOP)
 
@@ -954,6 +1021,7 @@ class Group:
                 self.out.frames.append(drive.controlword(halted))
                 self.out.frames.append(drive.controlword(cia402.ENABLE_OPERATION))
         if late:
+            self._lost.update(late)
             who = names(late)
             self._settle_fault(f"{self.reason}; not at rest after halt and quick stop: {who}")
         elif self._halt_is_fault:
@@ -1026,14 +1094,29 @@ class Group:
         """Whether a drive is not heard any more, as far as the bus was listened to."""
         return self.time.running and self._silence.silent(self._places[drive])
 
+    def _away(self, drive: Drive) -> str:
+        """Why a drive can't be commanded, or ""."""
+        if self.silent(drive):
+            return "is silent: check its power and the bus"
+        if drive.restarted:
+            return "has restarted: was its power off?"
+        if drive.not_operational >= NOT_OPERATIONAL:
+            return "is no longer in NMT operational: does somebody else command it?"
+        return ""
+
     def _astray(self, drive: Drive) -> bool:
         return drive in self._clocked and self.time.astray(self._clocked[drive])
 
     def _watch_drives(self) -> None:
         """What no frame tells: silence, and clocks that are off."""
+        self._unheard |= {drive for drive in self.drives if self.silent(drive)}
+        self._lost |= {drive for drive in self.drives if self._away(drive)}
         watched = self.phase not in (Phase.FAULT, Phase.HALTING, Phase.RESETTING)
         if watched and (
-            any(self.silent(drive) or self._clock_trouble(drive) for drive in self.drives)
+            any(
+                self._away(drive) or self._left_operation(drive) or self._clock_trouble(drive)
+                for drive in self.drives
+            )
             or self.time.sync_missing(self._now_us)
         ):
             self._trouble()
@@ -1043,14 +1126,21 @@ class Group:
         index = self._clocked.get(drive)
         return "" if index is None else self.time.trouble(index, self.phase in BEGUN)
 
+    def _left_operation(self, drive: Drive) -> str:
+        """What is wrong with the state of a drive that is to be enabled, or "".
+
+        One report may have been on its way for long.
+        """
+        if self.phase not in _ENABLED or drive.off_reports < OFF_REPORTS:
+            return ""
+        return f"has left operation enabled by itself and is in {drive.state.value}"
+
     def _complaints(self) -> str:
         """What is wrong with the drives, axis by axis; "" if nothing."""
         words = []
         for drive in self.drives:
-            if self.silent(drive):
-                words.append(f"{drive} is silent: check its power and the bus")
-            elif drive.restarted:
-                words.append(f"{drive} has restarted: was its power off?")
+            if away := self._away(drive) or self._left_operation(drive):
+                words.append(f"{drive} {away}")
             elif trouble := drive.trouble() or self._clock_trouble(drive):
                 words.append(f"{drive}: {trouble}")
         if self.time.producer is not None and self.time.sync_missing(self._now_us):

@@ -38,6 +38,11 @@ class Identity:
             return EPOS2_HARDWARE.get(hardware, f"{name} (hardware {hardware:04X}h)")
         return self.name or f"product 0x{self.product_code:08X}"
 
+    def same_model(self, other: Identity) -> bool:
+        """Whether both are of one kind, whatever their firmware and serial numbers."""
+        mine, its = ((who.vendor_id, who.product_code, who.name) for who in (self, other))
+        return mine == its
+
     @property
     def firmware(self) -> str:
         if self.vendor_id == MAXON:

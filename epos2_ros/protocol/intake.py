@@ -21,7 +21,8 @@ NMT_STATES = frozenset({0x04, 0x05, 0x7F})  # in a heartbeat, besides 0 (CiA 301
 TOGGLE_BIT = 0x80  # in an answer to node guarding, which has the same COB-ID
 SDO_RESPONSE = 0x580
 _EIGHT_BYTES = {epos2.EMCY: "emergency", SDO_RESPONSE: "SDO response"}
-_START, _FUNCTION, _NODE = 0x01, 0x780, 0x7F
+NMT_START = 0x01
+_FUNCTION, _NODE = 0x780, 0x7F
 
 
 class Rejects:
@@ -74,7 +75,7 @@ class Intake:
         if frame.can_id == epos2.NMT:
             command, node = frame.data
             nodes = {node} if node else set(self._names)
-            if command == _START:
+            if command == NMT_START:
                 self._mapped |= nodes
             else:  # its configuration begins anew
                 self._mapped -= nodes

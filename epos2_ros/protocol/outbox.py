@@ -36,6 +36,7 @@ class _Asked(NamedTuple):
     """A request that was made."""
 
     node_id: int
+    writes: bool
     then: Callable[[Sequence[int], str], None]
 
 
@@ -47,6 +48,7 @@ class Outbox:
     requests: deque[SdoRequest] = field(default_factory=deque)
     events: deque[Event] = field(default_factory=deque)
     count: int = 0  # of requests so far
+    half_written: set[int] = field(default_factory=set)  # node ids: not all got there
     _asked: dict[int, _Asked] = field(default_factory=dict)  # and not answered, by number
 
     def announce(self, kind: str, text: str) -> None:
@@ -62,16 +64,19 @@ class Outbox:
     ) -> None:
         """Access a drive; `then(values, error)` with what was read, or why something was not."""
         self.count += 1
-        self._asked[self.count] = _Asked(node_id, then)
+        self._asked[self.count] = _Asked(node_id, bool(writes), then)
         self.requests.append(SdoRequest(self.count, node_id, tuple(writes), tuple(reads)))
 
     def answer(self, number: int, values: Sequence[int] = (), error: str = "") -> None:
         """A request has been carried out, or could not be."""
         if asked := self._asked.pop(number, None):
+            if error and asked.writes:
+                self.half_written.add(asked.node_id)
             asked.then(values, error)
 
     def forget(self, node_id: int) -> None:
-        """Nobody waits any more for what a drive was asked."""
+        """A drive has been brought up anew: nobody waits any more for what it was asked."""
+        self.half_written.discard(node_id)
         for number in [n for n, asked in self._asked.items() if asked.node_id == node_id]:
             del self._asked[number]
 

@@ -12,6 +12,7 @@ class PathTime:
     """
 
     def __init__(self, clock: MasterClock, host_is_master: bool) -> None:
+        self.late_us = 0.0  # so much later than it was, at most, the start SYNC may have been seen
         self.start_us: float | None = None  # host time of the start SYNC; None: not started
         self.planned_us: float | None = None  # when it was asked for; None: as soon as possible
         self._start_master_us = 0.0  # the start by the master's clock
@@ -25,6 +26,11 @@ class PathTime:
     def begin(self, t_us: float) -> None:
         """The start SYNC was on the bus."""
         self.start_us, self._start_master_us = t_us, self._clock.master_us(t_us)
+        self.late_us = 0.0
+
+    def correct(self, t_us: float) -> None:
+        """The start SYNC was on the bus then, by the drives' clocks: it was seen late."""
+        self.begin(t_us)
 
     def zero_us(self, now_us: float) -> float:
         """Host time of path time zero; before the start SYNC, as far as is known."""

@@ -18,10 +18,10 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from statistics import median
+from statistics import fmean, median
 
 from epos2_ros.protocol import epos2
-from epos2_ros.protocol.clock import MasterClock
+from epos2_ros.protocol.clock import WINDOW, MasterClock
 from epos2_ros.protocol.drive import Drive
 from epos2_ros.protocol.frame import Frame
 from epos2_ros.protocol.pvt.path_audit import patience_syncs
@@ -70,12 +70,13 @@ class Timekeeper:
         self._answering = answering
         self._outbox = outbox
         self._last_sync_us = -math.inf
-        self._earliest_us = -math.inf  # it was not on the bus before
-        self._handed_over_us = -math.inf  # when the last of ours was
+        self._handed_over_us = -math.inf  # when it was, if it is ours
+        self._delays_us: deque[float] = deque(maxlen=WINDOW)  # from there until the host saw it
         self._sync_due_us = math.inf
         self._heartbeat_due_us = math.inf
         self._path_sync_us = math.inf  # from this SYNC on a path is about to begin
         self._begins_path = False  # the last SYNC did
+        self.path_began_us: float | None = None  # when it was, by the drives' clocks
         self._patience = patience_syncs(period_us)
         self._syncs_us: deque[float] = deque(maxlen=_REMEMBERED)  # before the last
         self._missed = [0] * len(drives)  # SYNCs in a row without an answer that can be of them
@@ -107,6 +108,7 @@ class Timekeeper:
         self._missed = [0] * len(self.drives)
         self._off_us = [0.0] * len(self.drives)
         self._syncs_us.clear()
+        self._delays_us.clear()
         self._outbox.append(Frame(epos2.TIME, time_of_day))
         if self.produces:
             self._sync_due_us = now_us + self.period_us
@@ -117,14 +119,14 @@ class Timekeeper:
 
     def on_sync(self, t_us: float, begins_path: bool = False) -> None:
         """A SYNC was on the bus; the drives now say what their clocks were."""
-        self._earliest_us = self._handed_over_us if self.produces else self._expected_us()
         self._forget()
         self.sync_count += 1
+        self._delays_us.append(t_us - self._handed_over_us)
         self._syncs_us.appendleft(self._last_sync_us)
         self._last_sync_us = self._unstamped_us = t_us
         self._begins_path = begins_path
         if begins_path:
-            self._path_sync_us = math.inf
+            self._path_sync_us, self.path_began_us = math.inf, None
 
     def on_answer(self, drive: int, latched: int, now_us: float) -> None:
         """A drive has answered a SYNC with what its clock was then."""
@@ -191,6 +193,25 @@ class Timekeeper:
     def next_sync_us(self) -> float:
         """When the next SYNC of a drive is to be expected."""
         return self._last_sync_us + self.period_us
+
+    @property
+    def seen_late_us(self) -> float:
+        """By how much the host may have seen the last SYNC too late.
+
+        None of ours was on the bus before it was handed over: what it took longer than others from
+        there until it was seen. Of a drive's nothing is known.
+        """
+        return self._delays_us[-1] - min(self._delays_us) if self.produces else math.inf
+
+    @property
+    def _line_late_us(self) -> float:
+        """By how much SYNCs seen late may have moved the end of the clocks' lines.
+
+        Of a line of least squares through n points each moves it by 4/n of its own at most.
+        """
+        if not self.produces:
+            return math.inf
+        return 4 * (fmean(self._delays_us) - min(self._delays_us))
 
     @staticmethod
     def shortest_period_us(axes: int) -> float:
@@ -260,11 +281,6 @@ class Timekeeper:
     def _slow_due_us(self) -> float:
         return self._last_sync_us + self.period_us / 2
 
-    def _expected_us(self) -> float:
-        """When a drive's next SYNC is due, by the clocks of those that have answered the last."""
-        answered = any(latched is not None for latched in self._latched)
-        return self.clock.sync_us + self.period_us if answered else -math.inf
-
     def _follow_up(self, now_us: float) -> None:
         """The drives have answered, or had their time: correct those that have."""
         if self._unstamped_us == math.inf:
@@ -287,6 +303,7 @@ class Timekeeper:
             return
         if self._begins_path:
             clock.keep()
+            self.path_began_us = clock.sync_us if answered and clock.settled else None
         if self._last_sync_us < self._path_sync_us:
             self._slow = [drive for drive in answered if clock.drift[drive] < 0]
         self._correct([drive for drive in answered if drive not in self._slow], now_us)
@@ -294,13 +311,14 @@ class Timekeeper:
     def _compare(self) -> None:
         """Who has not answered, and whose clock is off, going by the others'.
 
-        The host may have noticed the SYNC late: that has put all of them off alike. Never early,
-        though, and not by more than has passed since the SYNC can have been on the bus at all.
+        The host may have noticed the SYNC late: that has put all of them off alike. By how much
+        at most is known.
         """
         ahead_us = self._ahead_us.values()
         common_us = median(ahead_us) if len(ahead_us) > 2 else min(ahead_us, key=abs, default=0.0)
         if self.clock.settled:
-            common_us = min(0.0, max(common_us, self._earliest_us - self._unstamped_us))
+            common_us = max(common_us, -self.seen_late_us)
+            common_us = min(common_us, self._line_late_us)
         for drive, latched in enumerate(self._latched):
             self._missed[drive] += latched is None
             self._off_us[drive] = self._ahead_us.get(drive, common_us) - common_us

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from threading import Event
 
 import numpy as np
 import pytest
 from two_processes import SCAN, rig
 
-from epos2_ros.errors import TrajectoryError
+from epos2_ros.bus import driver as driver_module
+from epos2_ros.errors import DriveError, TrajectoryError
 from epos2_ros.motion.reference import Reference
 from epos2_ros.motion.trajectory import Trajectory
+from epos2_ros.protocol.identity import Identity
 from epos2_ros.protocol.path import Placement
 
 
@@ -38,3 +41,21 @@ def test_what_is_worked_out_while_the_axes_are_stopped_does_not_begin(
         with pytest.raises(TrajectoryError, match="stopped while it was worked out"):
             answer.result(10)
         assert made.snapshot().state == "standing"
+
+
+def test_another_model_in_a_drive_s_place_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Until one like the first is there again; another of its kind is welcome."""
+    identities = {
+        1: Identity(0xFB, 0x6420_0000, 0x2126_0000, 17, "EPOS2"),
+        2: Identity(0xFB, 0x6322_0000, 0x2126_0000, 5, "EPOS2"),
+    }
+    monkeypatch.setattr(driver_module, "read_identity", lambda node: identities[node.id])
+    with rig("virtual", "driver swap", simulate=True) as made:
+        told = identities[1]
+        identities[1] = identities[2]
+        made.driver._reactor.call(lambda: made.driver._group._lost.update(made.driver._nodes))
+        with pytest.raises(DriveError, match="was a maxon EPOS2 70/10 and is now a maxon"):
+            made.driver.reset_fault()
+        identities[1] = replace(told, revision=0x2120_0000, serial_number=18)
+        made.driver.reset_fault()
+        made.driver.enable()

@@ -127,7 +127,8 @@ def test_a_move_s_frames() -> None:
             told.append((frame.can_id, word & 0x1400))
         elif frame.can_id == 0x080 and told and told[-1][0] == 0x301:
             told.append((0x080, 0))
-    assert told[:5] == [
+    assert told[:6] == [
+        (0x501, 0x000F),  # bit 4 is clear
         (0x301, 0x003F),  # new set-point, immediately: waits for the SYNC
         (0x080, 0),
         (0x181, 0x1000),  # acknowledged, target not reached
@@ -268,7 +269,7 @@ def test_an_axis_is_where_it_is_said_to_be_when_homed(method: str, place: int) -
         for _, frame, echo in made.frames
         if echo and frame.can_id in (0x301, 0x501)
     ]
-    assert starts[:2] == [0x1F, 0x0F]  # bit 4 stays until it is done
+    assert starts[:3] == [0x0F, 0x1F, 0x0F]  # bit 4 rises, and stays until it is done
     made.wait(made.machine.move_to({"z_1": 0.1}))
     assert drive.position_actual == round(0.1 * QC_PER_RAD)
 

@@ -119,7 +119,7 @@ BROKEN_DRIVERS = {
     ),
     no_reasons: ("every refusal has a reason", Scenario(TWO, (MOVE,), ())),
     says_off_and_is_not: (
-        "what is said is what is",
+        "no fault without a cause",  # which it finds by itself
         Scenario(TWO, (ENABLE,), ()),
     ),
     forgets_to_raise: (

@@ -129,7 +129,8 @@ class Interpolated(Mode):
         for axis in self.axes:
             account = axis.account
             gone = not axis.ip_active and axis.drive not in self.unconfirmed()
-            if gone and not (account.ended and path_ms > account.committed_ms - EARLY_END_MS):
+            early_ms = EARLY_END_MS + self._path_time.late_us / 1000
+            if gone and not (account.ended and path_ms > account.committed_ms - early_ms):
                 return f"{axis} left interpolated position mode on its own"
             told_ms = self._path_time.at_ms(axis.drive.statusword_us) or 0.0
             ended = account.ended and told_ms > account.committed_ms + END_TIMEOUT_MS
