@@ -32,8 +32,8 @@ from epos2_ros.buslog.writer import earlier_files
 from epos2_ros.configuration.driver import DriverConfig
 from epos2_ros.demo.child import Child
 from epos2_ros.motion import knots
-from epos2_ros.protocol.group import Phase
 from epos2_ros.protocol.outbox import Event
+from epos2_ros.protocol.phase import Phase
 
 READY_S = 60.0
 SETTLE_S = 15.0  # for the last record to be executed

@@ -23,7 +23,7 @@ from epos2_ros.bus.settings import machine_of
 from epos2_ros.configuration.driver import DriverConfig
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.node.serialized import read_trajectory
-from epos2_ros.protocol.group import Phase
+from epos2_ros.protocol.phase import Phase
 
 from .cases import EXAMPLES, Case, example, fit, planned
 from .table import Table

@@ -39,7 +39,7 @@ from epos2_ros.errors import Epos2RosError
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.protocol.clock import time_of_day
 from epos2_ros.protocol.frame import Frame
-from epos2_ros.protocol.group import BEGUN, Phase
+from epos2_ros.protocol.phase import BEGUN, Phase
 from epos2_ros.sim.cl3e import Cl3e
 from epos2_ros.sim.copley import Copley
 from epos2_ros.sim.epos2 import Epos2

@@ -23,8 +23,10 @@ from epos2_ros.errors import DriveError
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.protocol.clock import time_of_day
 from epos2_ros.protocol.frame import Frame
+from epos2_ros.protocol.group import Group
 from epos2_ros.protocol.intake import SDO_RESPONSE, Rejects, intake_of
 from epos2_ros.protocol.outbox import Event, SdoRequest
+from epos2_ros.protocol.phase import Phase, follows
 from epos2_ros.protocol.sdo import SdoRead, SdoWrite
 from epos2_ros.sim.can_bus import Remote, SimulatedBus, TransmitQueueFull
 from epos2_ros.sim.epos2 import Epos2
@@ -69,6 +71,7 @@ class Bench:
             self.bus.add(drive)
         self.machine = machine_of(self.config)
         self.group, self.path = self.machine.group, self.machine.path
+        self._hold_to_its_phases(self.group)
         self.feeder = self.machine.interpolated.feeder
         self.rejects = Rejects()
         self.intake = intake_of(self.machine.drives, self.rejects)
@@ -220,6 +223,17 @@ class Bench:
     def _push(self, frame: Frame) -> None:
         self.intake.sending(frame)
         self.transmitter.push(frame)
+
+    @staticmethod
+    def _hold_to_its_phases(group: Group) -> None:
+        """Whatever a test does, the group goes no other ways than those it says it has."""
+        enter = group._enter
+
+        def checked(phase: Phase) -> None:
+            assert follows(group.phase, phase), f"{group.phase} --> {phase}"
+            enter(phase)
+
+        group._enter = checked  # type: ignore[method-assign]
 
     def _hand_over(self, frame: Frame) -> bool:
         try:

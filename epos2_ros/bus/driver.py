@@ -51,13 +51,13 @@ from epos2_ros.protocol.clock import time_of_day
 from epos2_ros.protocol.drive import Drive
 from epos2_ros.protocol.execution import Execution
 from epos2_ros.protocol.frame import Frame
-from epos2_ros.protocol.group import Phase
 from epos2_ros.protocol.identity import Identity
 from epos2_ros.protocol.intake import Rejects, intake_of
 from epos2_ros.protocol.other_host import OtherHost
 from epos2_ros.protocol.outbox import Event, SdoRequest
 from epos2_ros.protocol.outputs.outputs import OutputEvent
 from epos2_ros.protocol.path import Placement, refuse_ended
+from epos2_ros.protocol.phase import Phase
 from epos2_ros.protocol.timekeeper import HOST_NODE_ID, Timekeeper
 from epos2_ros.protocol.trace import Trace
 

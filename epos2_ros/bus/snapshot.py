@@ -10,10 +10,10 @@ from typing import NamedTuple
 from epos2_ros.bus.health import BusState
 from epos2_ros.motion.units import AxisUnits
 from epos2_ros.protocol.epos2 import BUFFER_SIZE
-from epos2_ros.protocol.group import IN_MOTION
 from epos2_ros.protocol.identity import Identity
 from epos2_ros.protocol.machine import Machine
 from epos2_ros.protocol.outputs.outputs import Tally
+from epos2_ros.protocol.phase import IN_MOTION
 
 
 @dataclass(frozen=True)

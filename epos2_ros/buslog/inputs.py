@@ -26,9 +26,9 @@ from epos2_ros.errors import TrajectoryError
 from epos2_ros.motion.reference import Reference
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.protocol.drive import Drive
-from epos2_ros.protocol.group import Phase
 from epos2_ros.protocol.machine import Machine
 from epos2_ros.protocol.path import Placement
+from epos2_ros.protocol.phase import Phase
 
 # Of the group, …
 REQUESTS = ("enable", "disable", "halt", "quick_stop", "reset_fault")

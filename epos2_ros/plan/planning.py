@@ -30,7 +30,7 @@ from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.motion.units import AxisUnits
 from epos2_ros.plan.outputs import OutputPlans
 from epos2_ros.protocol import epos2
-from epos2_ros.protocol.group import Phase
+from epos2_ros.protocol.phase import Phase
 from epos2_ros.protocol.timekeeper import HEARTBEAT_PERIOD_US
 
 Array = NDArray[np.float64]

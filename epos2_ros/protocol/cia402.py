@@ -81,7 +81,7 @@ _TO_SWITCH_ON_DISABLED = {
     State.QUICK_STOP_ACTIVE: DISABLE_VOLTAGE,
     State.FAULT: FAULT_RESET,
 }
-_WALKS = {
+WALKS = {
     State.OPERATION_ENABLED: _TO_OPERATION_ENABLED,
     State.READY_TO_SWITCH_ON: _TO_READY_TO_SWITCH_ON,
     State.SWITCH_ON_DISABLED: _TO_SWITCH_ON_DISABLED,
@@ -94,4 +94,4 @@ def step(state: State, target: State) -> int | None:
     None where there is nothing to send: the target is reached, or the drive is on its own way
     (start-up, fault reaction), or a fault stands between (only SWITCH_ON_DISABLED resets it).
     """
-    return _WALKS[target].get(state)
+    return WALKS[target].get(state)

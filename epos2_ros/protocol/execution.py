@@ -5,7 +5,7 @@ from __future__ import annotations
 from concurrent.futures import Future
 
 from epos2_ros.errors import MotionStopped
-from epos2_ros.protocol.group import End
+from epos2_ros.protocol.phase import End
 
 
 class Execution:

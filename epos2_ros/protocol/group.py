@@ -22,7 +22,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
-from enum import Enum
 from typing import NamedTuple
 
 from epos2_ros.errors import DriveError, MotionAborted, MotionStopped, TrajectoryError
@@ -30,74 +29,36 @@ from epos2_ros.protocol import cia402, epos2
 from epos2_ros.protocol.cia402 import State
 from epos2_ros.protocol.drive import Drive, names
 from epos2_ros.protocol.frame import Frame
-from epos2_ros.protocol.intake import BOOT_UP, NMT_START, TOGGLE_BIT
+from epos2_ros.protocol.intake import NMT_START
 from epos2_ros.protocol.modes.mode import Mode
 from epos2_ros.protocol.outbox import Outbox
 from epos2_ros.protocol.path_time import PathTime
+from epos2_ros.protocol.phase import (
+    BEGUN,
+    GETTING_ENABLED,
+    HALTED,
+    IN_MOTION,
+    NOT_BEGUN,
+    ON_REQUEST,
+    QUICK_STOPPED,
+    WALK_TARGET,
+    End,
+    Phase,
+)
 from epos2_ros.protocol.sdo import SdoRead, SdoWrite
-from epos2_ros.protocol.silence import Silence
 from epos2_ros.protocol.synchronous import SynchronousControlwords
-from epos2_ros.protocol.timekeeper import LEAD_US, OPERATIONAL, Timekeeper
+from epos2_ros.protocol.timekeeper import LEAD_US, Timekeeper
+from epos2_ros.protocol.walk import RESEND_US, Walk
+from epos2_ros.protocol.watch import Watch
 
 SETTLING_SYNCS = 10  # as many periods, and REPLY_TIMEOUT_US, has a group to be ready in
 REPLY_TIMEOUT_US = 1_000_000.0  # for one step of a drive that has been told something
 READY_TIMEOUT_US = 3_000_000.0  # for a mode to be set, and what it takes to stand in it
-RESEND_US = 200_000.0  # a controlword without effect so long is sent again
 UNKNOWN_MODE = 0  # of operation
-OFF_REPORTS = 2  # in a row: a drive has left "operation enabled"
-NOT_OPERATIONAL = 2  # heartbeats in a row that say so: a drive has left NMT operational
-STALE_US = 20_000.0  # so long after a controlword a drive may report what was before it, …
-QUIET_US = 300_000.0  # … and so long after it would have reported what became of one before
 STOP_TIMEOUT_US = 5_000_000.0  # for an axis to come to rest after a halt or quick stop
 HALT_REACTION_US = 100_000.0  # a drive that has not begun to halt by then is quick-stopped
 ROUNDING_US = 1.0  # so much later than due, path time has come to it whatever its last digit
 WAIT_SAID_US = 500_000.0  # a motion that waits longer than this for its stamp is told of
-
-
-class Phase(Enum):
-    """What the group is doing."""
-
-    DISABLED = "disabled"
-    ENABLING = "enabling"
-    READYING = "getting ready"
-    SETTLING = "reading the position demand"
-    STANDING = "standing"
-    SWITCHING = "changing the mode of operation"
-    PREPARING = "preparing the drives"
-    ARMING = "arming the start"
-    STARTING = "starting"
-    MOVING = "moving"
-    CANCELLING = "taking back the start"
-    HALTING = "halting"
-    QUICK_STOPPING = "quick stop"
-    DISABLING = "disabling"
-    RESETTING = "resetting faults"
-    FAULT = "fault"
-
-
-NOT_BEGUN = frozenset({Phase.SWITCHING, Phase.PREPARING, Phase.ARMING})
-BEGUN = frozenset({Phase.STARTING, Phase.MOVING})
-IN_MOTION = NOT_BEGUN | BEGUN
-_GETTING_ENABLED = frozenset(
-    {Phase.ENABLING, Phase.READYING, Phase.SETTLING, Phase.CANCELLING, Phase.STANDING} | IN_MOTION
-)
-_ENABLED = _GETTING_ENABLED - {Phase.ENABLING}
-_WALK_TARGET = {
-    Phase.ENABLING: State.OPERATION_ENABLED,
-    Phase.DISABLING: State.READY_TO_SWITCH_ON,
-    Phase.RESETTING: State.SWITCH_ON_DISABLED,
-}
-
-
-HALTED, QUICK_STOPPED = "halted on request", "quick stop on request"
-ON_REQUEST = (HALTED, QUICK_STOPPED)  # reasons that are no fault
-
-
-class End(Enum):
-    """How a motion ended that was not aborted."""
-
-    ARRIVED = "all axes have arrived"
-    STOPPED = "stopped on the path"
 
 
 class Motion(NamedTuple):
@@ -105,13 +66,6 @@ class Motion(NamedTuple):
 
     modes: tuple[Mode, ...]
     start_us: float | None
-
-
-class _Step(NamedTuple):
-    """The last controlword of a walk through the CiA 402 states."""
-
-    state: State
-    sent_us: float
 
 
 class Group:
@@ -147,15 +101,12 @@ class Group:
         self._said = ""  # of the fault in the log
         self._why = ""  # the axes were halted, …
         self._when = ""  # … and how long after the start
-        self._silence = Silence(len(rest))
-        self._unheard: set[Drive] = set()  # were silent, and not brought up since
-        self._lost: set[Drive] = set()  # to be brought up anew
+        self._watch = Watch(self.drives, time, out)
         self._moved = True  # the axes, since their demand was last read
         self._phase_us = -math.inf  # since when the group is in this phase
         self._handing_over = False  # a mode has more to give its drives
         self._handed_over_us = -math.inf  # when one last did
-        self._steps: dict[Drive, _Step] = {}
-        self._places = {drive: place for place, drive in enumerate(self.drives)}
+        self._walk = Walk(out)
         self._by_node = {drive.node_id: drive for drive in self.drives}
         self._clocked = {drive: index for index, drive in enumerate(time.drives)}
 
@@ -166,7 +117,7 @@ class Group:
 
         Call `advance` afterwards.
         """
-        self._silence.listened(t_us)
+        self._watch.listened(t_us)
         self._seen_us = t_us
         if frame.can_id == epos2.SYNC and echo is self.time.produces:
             self._on_sync(t_us)
@@ -202,47 +153,25 @@ class Group:
             if drive.on_emergency(frame.data):
                 self._trouble()
         elif function == epos2.HEARTBEAT:
-            self._on_heartbeat(drive, frame.data)
+            if self._watch.on_heartbeat(drive, frame.data):
+                self._trouble()
         elif function == epos2.SDO_ANSWER:
             self._off_path(drive, self._mode_of(drive).on_answer(drive, frame.data, t_us))
         else:
             return
-        self._heard(drive, t_us)
+        self._watch.heard(drive, t_us)
         if drive.statusword & cia402.FAULT_BIT:
             self._trouble()
         if self.phase is Phase.DISABLED and drive.state is State.OPERATION_ENABLED:
-            self._tell(drive, cia402.SHUTDOWN)  # whatever has enabled it
-
-    def _on_heartbeat(self, drive: Drive, data: bytes) -> None:
-        """Or its answer to life guarding, which has a toggle bit.
-
-        One may have waited since before the NMT start.
-        """
-        if data == BOOT_UP:  # its configuration is gone
-            drive.restarted = True
-            self._trouble()
-        elif data[0] & ~TOGGLE_BIT == OPERATIONAL[0]:
-            drive.not_operational = 0
-        else:
-            drive.not_operational += 1
-            if drive.not_operational == NOT_OPERATIONAL:
-                self._trouble()
+            self._walk.tell(drive, cia402.SHUTDOWN, self._now_us)  # whatever has enabled it
 
     def _on_nmt(self, command: int, node_id: int) -> None:
         """Another master's: what it stops does not listen to us any more."""
-        if command != NMT_START:
-            for drive in self.drives:
-                if node_id in (0, drive.node_id):
-                    drive.not_operational = NOT_OPERATIONAL
-                    self._lost.add(drive)
+        if self._watch.on_nmt(command, node_id):
             if self.phase is Phase.HALTING:  # what was sent may come too late
                 self._halt_all()
             else:
                 self._trouble()
-
-    def _heard(self, drive: Drive, t_us: float) -> None:
-        drive.heard_us = t_us
-        self._silence.heard(self._places[drive])
 
     def _on_clock(self, drive: Drive, t_us: float) -> None:
         index = self._clocked.get(drive)
@@ -254,7 +183,7 @@ class Group:
         if not wrong:
             return
         if self.phase in IN_MOTION or self.phase is Phase.STANDING:
-            self._lost.add(drive)  # somebody may have told it something else
+            self._watch.doubt((drive,))  # somebody may have told it something else
         if self.phase in IN_MOTION:
             self.fail(f"{drive}: {wrong}")
         elif self.phase is Phase.STANDING:
@@ -302,7 +231,7 @@ class Group:
         """
         self.time.start(now_us, time_of_day)
         for drive in self.drives:
-            self._heard(drive, now_us)
+            self._watch.heard(drive, now_us)
         self.advance(now_us)
 
     def enable(self) -> Future[None]:
@@ -316,7 +245,7 @@ class Group:
             self._accept(request, Phase.ENABLING)
         elif self.phase is Phase.STANDING or self.phase in IN_MOTION:
             request.set_result(None)
-        elif self.phase in _GETTING_ENABLED:
+        elif self.phase in GETTING_ENABLED:
             self._requests.append(request)
         else:
             request.set_exception(DriveError(f"can't enable while {self.phase.value}"))
@@ -433,16 +362,14 @@ class Group:
 
     def reconfigured(self, drive: Drive, statusword: int, now_us: float) -> None:
         """A drive was brought up anew and answers with `statusword`."""
-        if drive.restarted or drive in self._unheard:
+        if self._watch.may_have_restarted(drive):
             drive.homed = ""
         if statusword & drive.family.referenced_bit:
             drive.homed = drive.homed or "by an earlier host"
-        drive.restarted, drive.not_operational = False, 0
-        self._lost.discard(drive)
-        self._unheard.discard(drive)
+        self._watch.brought_up(drive)
         self.out.forget(drive.node_id)  # whatever became of what it was asked
         drive.operation = drive.family.rest_operation
-        self._heard(drive, now_us)
+        self._watch.heard(drive, now_us)
         drive.report(statusword, now_us)
 
     def fail(self, reason: str) -> None:
@@ -481,22 +408,8 @@ class Group:
         )
 
     def lost(self) -> list[Drive]:
-        """To be brought up anew, until they are (`reconfigured`).
-
-        Restarted, not operational, clock astray, or without their SYNC; once silent, as they may
-        have restarted meanwhile; without something that was to be written to them; or not doing
-        what they were told, so that what they are told by may not be what it was.
-        """
-        missing = self.time.producer if self.time.sync_missing(self._now_us) else None
-        self._lost |= {
-            drive
-            for drive in self.drives
-            if self._away(drive)
-            or drive.node_id in self.out.half_written
-            or self._astray(drive)
-            or drive is missing
-        }
-        return [drive for drive in self.drives if drive in self._lost]
+        """To be brought up anew, until they are (`reconfigured`)."""
+        return self._watch.lost(self._now_us)
 
     def describe_phase(self) -> str:
         """The phase in words, with the reason where there is one."""
@@ -525,7 +438,7 @@ class Group:
         if self._arrived and phase not in (Phase.READYING, Phase.SETTLING):
             self._tell_arrival()
         self._phase_us = self._now_us
-        self._steps.clear()
+        self._walk.begin()
         if phase is not Phase.STARTING:
             self._when_started.clear()
         if phase not in IN_MOTION:
@@ -571,7 +484,7 @@ class Group:
     def _progress(self) -> None:
         match self.phase:
             case Phase.ENABLING | Phase.DISABLING | Phase.RESETTING:
-                self._walk()
+                self._walk_on()
             case Phase.CANCELLING:
                 if not self._words.unseen:
                     self._get_ready()
@@ -596,25 +509,15 @@ class Group:
             case Phase.DISABLED | Phase.STANDING | Phase.FAULT:
                 pass
 
-    def _walk(self) -> None:
+    def _walk_on(self) -> None:
         """One transition for every axis that is not where the phase wants it."""
         if self._words.latched and self.phase is Phase.ENABLING:
             return  # what the next SYNC makes count would undo it
-        target = _WALK_TARGET[self.phase]
-        waiting = []
-        for drive in self.drives:
-            if self._is_at(drive, target):
-                continue
-            waiting.append(drive)
-            controlword = cia402.step(drive.state, target)
-            if drive.state is target and drive not in self._steps:
-                controlword = cia402.SHUTDOWN
-            if controlword is not None and not drive.powering_up:
-                self._tell(drive, controlword)
+        waiting = self._walk.step(self.drives, WALK_TARGET[self.phase], self._now_us)
         if not waiting:
             self._walked()
         elif self._now_us > self._phase_us + STOP_TIMEOUT_US:
-            self._lost.update(waiting)
+            self._watch.doubt(waiting)
             self._settle_fault(
                 f"{self.phase.value}: "
                 + "; ".join(
@@ -623,38 +526,6 @@ class Group:
                     for drive in waiting
                 )
             )
-
-    def _is_at(self, drive: Drive, target: State) -> bool:
-        """Whether a drive is where the phase wants it, and is going to stay there."""
-        if self.phase is not Phase.DISABLING:
-            return drive.state is target
-        if drive.state is target:
-            return self._has_taken(drive, State.READY_TO_SWITCH_ON)
-        # Its power stage is off; the fault stays for whoever resets it.
-        return drive.state is State.FAULT
-
-    def _has_taken(self, drive: Drive, state: State) -> bool:
-        """Whether a drive in `state` is there by what this phase has told it.
-
-        Where it was there before, "enable operation" may have been on its way to it.
-        """
-        last = self._steps.get(drive)
-        if last is None:
-            return False
-        if last.state is not state:
-            return True
-        told_us = last.sent_us
-        return drive.statusword_us > told_us + STALE_US or self._now_us > told_us + QUIET_US
-
-    def _tell(self, drive: Drive, controlword: int) -> None:
-        """Send it, once for each state that the drive is in, and again if that has no effect."""
-        last = self._steps.get(drive)
-        if last and last.state is drive.state and self._now_us < last.sent_us + RESEND_US:
-            return
-        if controlword == cia402.FAULT_RESET:  # bit 7 has to rise
-            self.out.frames.append(drive.controlword(cia402.DISABLE_VOLTAGE))
-        self.out.frames.append(drive.controlword(controlword))
-        self._steps[drive] = _Step(drive.state, self._now_us)
 
     def _walked(self) -> None:
         if self.phase is Phase.ENABLING:
@@ -728,7 +599,7 @@ class Group:
         """Whether drives have not done yet what they were told by SDO."""
         waiting = [drive for drive in self.drives if drive.node_id in self.out.unanswered]
         if waiting and self._now_us > self._phase_us + READY_TIMEOUT_US:
-            self._lost.update(waiting)
+            self._watch.doubt(waiting)
             self._settle_fault(f"{self.phase.value}: no answer from {names(waiting)}")
         return bool(waiting)
 
@@ -745,7 +616,7 @@ class Group:
                 mode.on_rest(drive)
             self._stand()
         elif self._now_us > self._phase_us + timeout_us:
-            self._lost.update(late)
+            self._watch.doubt(late)
             self._settle_fault(
                 f"no answer to SYNC from {names(late)}"
                 if late
@@ -833,7 +704,7 @@ class Group:
                 }
                 self._words.send(starts, self._now_us)
         elif self._now_us > self._handed_over_us + timeout_us:
-            self._lost.update(self._taking_part)
+            self._watch.doubt(self._taking_part)
             self._stop_all(missing)
 
     def _arm_due_us(self) -> float:
@@ -898,7 +769,7 @@ class Group:
             return
         for mode, late in missing:
             if all(drive.heard_us > start_us + mode.confirm_timeout_us for drive in late):
-                self._lost.update(late)
+                self._watch.doubt(late)
                 where = ", ".join(f"{drive} ({drive.state.value})" for drive in late)
                 self._stop_all(f"{mode.unconfirmed_words}: {where}")
                 return
@@ -993,7 +864,7 @@ class Group:
 
     def _make_listen(self, drive: Drive) -> None:
         """Who has left NMT operational hears no controlword; his PDOs are as they were mapped."""
-        if drive.not_operational >= NOT_OPERATIONAL and not drive.restarted:
+        if self._watch.stopped_listening(drive):
             self.out.frames.append(Frame(epos2.NMT, bytes((NMT_START, drive.node_id))))
 
     def _quick_stop(self) -> None:
@@ -1006,7 +877,7 @@ class Group:
         for drive in self.drives:
             self._make_listen(drive)
             if drive.state is not State.FAULT:  # also who is about to be enabled
-                self._tell(drive, cia402.QUICK_STOP)
+                self._walk.tell(drive, cia402.QUICK_STOP, self._now_us)
 
     def _finish_halt(self) -> None:
         """When all stand: the bits fall before the halt is released, or motion starts again."""
@@ -1021,7 +892,7 @@ class Group:
                 self.out.frames.append(drive.controlword(halted))
                 self.out.frames.append(drive.controlword(cia402.ENABLE_OPERATION))
         if late:
-            self._lost.update(late)
+            self._watch.doubt(late)
             who = names(late)
             self._settle_fault(f"{self.reason}; not at rest after halt and quick stop: {who}")
         elif self._halt_is_fault:
@@ -1070,7 +941,7 @@ class Group:
         moving = [drive for drive in self.drives if not self._quick_stop_done(drive)]
         for drive in moving:
             if drive.state is State.OPERATION_ENABLED:
-                self._tell(drive, cia402.QUICK_STOP)
+                self._walk.tell(drive, cia402.QUICK_STOP, self._now_us)
         if not moving:
             self._faulted |= bool(self._complaints())
             self._off()
@@ -1088,64 +959,21 @@ class Group:
             case State.FAULT:
                 return True
             case _:
-                return self._has_taken(drive, drive.state)
+                return self._walk.has_taken(drive, drive.state, self._now_us)
 
     def silent(self, drive: Drive) -> bool:
         """Whether a drive is not heard any more, as far as the bus was listened to."""
-        return self.time.running and self._silence.silent(self._places[drive])
-
-    def _away(self, drive: Drive) -> str:
-        """Why a drive can't be commanded, or ""."""
-        if self.silent(drive):
-            return "is silent: check its power and the bus"
-        if drive.restarted:
-            return "has restarted: was its power off?"
-        if drive.not_operational >= NOT_OPERATIONAL:
-            return "is no longer in NMT operational: does somebody else command it?"
-        return ""
-
-    def _astray(self, drive: Drive) -> bool:
-        return drive in self._clocked and self.time.astray(self._clocked[drive])
+        return self._watch.silent(drive)
 
     def _watch_drives(self) -> None:
         """What no frame tells: silence, and clocks that are off."""
-        self._unheard |= {drive for drive in self.drives if self.silent(drive)}
-        self._lost |= {drive for drive in self.drives if self._away(drive)}
-        watched = self.phase not in (Phase.FAULT, Phase.HALTING, Phase.RESETTING)
-        if watched and (
-            any(
-                self._away(drive) or self._left_operation(drive) or self._clock_trouble(drive)
-                for drive in self.drives
-            )
-            or self.time.sync_missing(self._now_us)
-        ):
+        wrong = self._watch.look(self._now_us, self.phase)
+        if wrong and self.phase not in (Phase.FAULT, Phase.HALTING, Phase.RESETTING):
             self._trouble()
-
-    def _clock_trouble(self, drive: Drive) -> str:
-        """What is wrong with the clock of a drive, or ""; in motion it takes less."""
-        index = self._clocked.get(drive)
-        return "" if index is None else self.time.trouble(index, self.phase in BEGUN)
-
-    def _left_operation(self, drive: Drive) -> str:
-        """What is wrong with the state of a drive that is to be enabled, or "".
-
-        One report may have been on its way for long.
-        """
-        if self.phase not in _ENABLED or drive.off_reports < OFF_REPORTS:
-            return ""
-        return f"has left operation enabled by itself and is in {drive.state.value}"
 
     def _complaints(self) -> str:
         """What is wrong with the drives, axis by axis; "" if nothing."""
-        words = []
-        for drive in self.drives:
-            if away := self._away(drive) or self._left_operation(drive):
-                words.append(f"{drive} {away}")
-            elif trouble := drive.trouble() or self._clock_trouble(drive):
-                words.append(f"{drive}: {trouble}")
-        if self.time.producer is not None and self.time.sync_missing(self._now_us):
-            words.append(f"no SYNC from {self.time.producer}")
-        return "; ".join(words)
+        return self._watch.complaints(self._now_us, self.phase)
 
     def _trouble(self) -> None:
         """An axis complains: all stop, whatever the group is doing."""

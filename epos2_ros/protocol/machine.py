@@ -20,7 +20,7 @@ from epos2_ros.protocol import epos2
 from epos2_ros.protocol.drive import Drive, DriveSetup
 from epos2_ros.protocol.families import FAMILIES
 from epos2_ros.protocol.frame import Frame
-from epos2_ros.protocol.group import End, Group
+from epos2_ros.protocol.group import Group
 from epos2_ros.protocol.homing_methods import find
 from epos2_ros.protocol.modes.homing import Homing, Search
 from epos2_ros.protocol.modes.interpolated import Interpolated
@@ -29,6 +29,7 @@ from epos2_ros.protocol.modes.profile import Profile
 from epos2_ros.protocol.outbox import Outbox
 from epos2_ros.protocol.path import PathCommander, refuse_unreferenced
 from epos2_ros.protocol.path_time import PathTime
+from epos2_ros.protocol.phase import End
 from epos2_ros.protocol.pvt.axis import PvtAxis
 from epos2_ros.protocol.pvt.buffer_reads import BufferReads
 from epos2_ros.protocol.pvt.feeder import Feeder

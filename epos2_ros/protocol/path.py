@@ -33,8 +33,9 @@ from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.motion.units import AxisUnits
 from epos2_ros.protocol.drive import Drive
 from epos2_ros.protocol.execution import Execution
-from epos2_ros.protocol.group import IN_MOTION, NOT_BEGUN, End, Group, Phase
+from epos2_ros.protocol.group import Group
 from epos2_ros.protocol.modes.interpolated import Interpolated
+from epos2_ros.protocol.phase import IN_MOTION, NOT_BEGUN, End, Phase
 from epos2_ros.protocol.pvt.feeder import HOLD_MS
 
 LATE_START_US = 50_000.0  # a trajectory joined midway from rest starts so much after its message

@@ -16,8 +16,9 @@ from epos2_ros.protocol import epos2
 from epos2_ros.protocol.drive import Drive
 from epos2_ros.protocol.executed_path import Demand, ExecutedPath
 from epos2_ros.protocol.frame import Frame
-from epos2_ros.protocol.group import IN_MOTION, Group, Phase
+from epos2_ros.protocol.group import Group
 from epos2_ros.protocol.modes.homing import Homing
+from epos2_ros.protocol.phase import IN_MOTION, Phase
 from epos2_ros.protocol.pvt.axis import PvtAxis
 from epos2_ros.protocol.pvt.buffer_account import BufferAccount
 

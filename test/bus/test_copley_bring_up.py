@@ -13,7 +13,7 @@ from test_refused_bring_up import ABSENT, WORDS, refuse
 
 from epos2_ros.configuration.driver import AxisConfig, DriverConfig
 from epos2_ros.errors import ConfigurationError, DriveError
-from epos2_ros.protocol.group import Phase
+from epos2_ros.protocol.phase import Phase
 from epos2_ros.sim.copley import Copley
 from epos2_ros.sim.epos2 import Epos2
 

@@ -15,7 +15,7 @@ from six_axes import assert_on_path, executed, run_motion, there_and_back
 from epos2_ros.configuration.driver import DriverConfig
 from epos2_ros.errors import DriveError, MotionAborted
 from epos2_ros.protocol import epos2
-from epos2_ros.protocol.group import Phase
+from epos2_ros.protocol.phase import Phase
 from epos2_ros.sim.epos2 import Dictionary, Epos2, FirstRecord
 
 BOTH = pytest.mark.parametrize("dictionary", list(Dictionary))

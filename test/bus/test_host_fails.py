@@ -24,7 +24,7 @@ from two_processes import ROOT, Drives, assert_moves, rig
 
 from epos2_ros.configuration.driver import DriverConfig
 from epos2_ros.errors import DriveError
-from epos2_ros.protocol.group import Phase
+from epos2_ros.protocol.phase import Phase
 from epos2_ros.sim.epos2 import Epos2
 
 WATCH_S = 0.5

@@ -16,8 +16,9 @@ from epos2_ros.bus.link import Link
 from epos2_ros.bus.outputs.predictor import Predictor
 from epos2_ros.errors import BusError, DriveError
 from epos2_ros.motion.trajectory import Trajectory
-from epos2_ros.protocol.group import Group, Phase
+from epos2_ros.protocol.group import Group
 from epos2_ros.protocol.outbox import Event
+from epos2_ros.protocol.phase import Phase
 from epos2_ros.protocol.timekeeper import Timekeeper
 
 Break = Callable[[Rig], None]

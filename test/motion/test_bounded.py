@@ -22,7 +22,7 @@ from epos2_ros.motion.pace import paced
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.plan import report
 from epos2_ros.plan.planning import make_plan
-from epos2_ros.protocol.group import Phase
+from epos2_ros.protocol.phase import Phase
 
 STEPS_S = (0.1, 0.05, 0.02, 0.01)  # 10 to 100 Hz
 BUDGET = settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])

@@ -29,7 +29,7 @@ from epos2_ros.node.goal import (
     refused,
 )
 from epos2_ros.protocol.execution import Execution
-from epos2_ros.protocol.group import Phase
+from epos2_ros.protocol.phase import Phase
 from epos2_ros.sim.epos2 import Epos2
 
 JOINTS = ("joint_1", "joint_2")

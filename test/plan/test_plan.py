@@ -44,7 +44,7 @@ from epos2_ros.motion.units import AxisUnits
 from epos2_ros.node.parameters import Parameters
 from epos2_ros.plan import report
 from epos2_ros.plan.planning import AxisPlan, make_plan
-from epos2_ros.protocol.group import Phase
+from epos2_ros.protocol.phase import Phase
 
 CONFIG = EXAMPLES.parent / "config"
 QC_PER_TURN = 2000 * 100  # of config/arm.yaml and config/gantry.yaml

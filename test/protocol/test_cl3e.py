@@ -16,7 +16,7 @@ from epos2_ros.bus.settings import machine_of
 from epos2_ros.configuration.driver import AxisConfig, DriverConfig, HomingConfig
 from epos2_ros.errors import ConfigurationError, DriveError, MotionAborted
 from epos2_ros.protocol import cl3e
-from epos2_ros.protocol.group import Phase
+from epos2_ros.protocol.phase import Phase
 from epos2_ros.sim.cl3e import Cl3e, Firmware
 from epos2_ros.sim.homing import Switches
 

@@ -19,7 +19,7 @@ from benchmarks.time_sync import bench, drives, watch, watch_motion
 from epos2_ros.configuration.driver import DriverConfig
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.protocol.clock import MasterClock, time_of_day
-from epos2_ros.protocol.group import Phase
+from epos2_ros.protocol.phase import Phase
 from epos2_ros.sim.epos2 import Epos2
 
 WRAP = 1 << 32

@@ -28,7 +28,7 @@ from epos2_ros.configuration.driver import DriverConfig
 from epos2_ros.errors import DriveError, MotionAborted, TrajectoryError
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.protocol.frame import Frame
-from epos2_ros.protocol.group import Phase
+from epos2_ros.protocol.phase import Phase
 from epos2_ros.sim.epos2 import Epos2
 
 # ---------------------------------------------------------------------------- start

@@ -17,7 +17,7 @@ from epos2_ros.bus.settings import machine_of
 from epos2_ros.configuration.driver import AxisConfig, DriverConfig, HomingConfig
 from epos2_ros.errors import ConfigurationError, MotionAborted, TrajectoryError
 from epos2_ros.motion.trajectory import Trajectory
-from epos2_ros.protocol.group import Phase
+from epos2_ros.protocol.phase import Phase
 from epos2_ros.sim.cl3e import Cl3e
 from epos2_ros.sim.copley import Copley
 from epos2_ros.sim.epos2 import Epos2

@@ -15,7 +15,7 @@ from six_axes import assert_on_path, drives, there_and_back
 
 from epos2_ros.configuration.driver import DriverConfig
 from epos2_ros.protocol.frame import Frame
-from epos2_ros.protocol.group import Phase
+from epos2_ros.protocol.phase import Phase
 from epos2_ros.sim.epos2 import Epos2
 
 NODES = range(1, 7)

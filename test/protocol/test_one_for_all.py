@@ -16,7 +16,7 @@ from six_axes import all_stand, bench, there_and_back
 
 from epos2_ros.configuration.driver import DriverConfig
 from epos2_ros.errors import MotionAborted
-from epos2_ros.protocol.group import Phase
+from epos2_ros.protocol.phase import Phase
 from epos2_ros.sim.epos2 import Dictionary, Epos2
 
 HALT = b"\x1f\x01"

@@ -14,7 +14,7 @@ from simulated_time import Bench, axes
 from epos2_ros.configuration.driver import DriverConfig
 from epos2_ros.errors import TrajectoryError
 from epos2_ros.motion.trajectory import Trajectory
-from epos2_ros.protocol.group import Phase
+from epos2_ros.protocol.phase import Phase
 from epos2_ros.sim.epos2 import Epos2
 
 HOLD_MS = 1  # after the start SYNC: the first record holds the position

@@ -21,7 +21,7 @@ from benchmarks.time_sync import bench as drifting_bench
 from epos2_ros.configuration.driver import DriverConfig
 from epos2_ros.errors import MotionAborted
 from epos2_ros.motion.record import Record
-from epos2_ros.protocol.group import Phase
+from epos2_ros.protocol.phase import Phase
 from epos2_ros.protocol.pvt.path_audit import PathAudit
 from epos2_ros.sim.epos2 import Epos2
 

@@ -74,7 +74,7 @@ def no_reasons(monkeypatch):
 
 
 def says_off_and_is_not(monkeypatch):
-    monkeypatch.setattr(group.Group, "_walk", lambda self: self._walked())
+    monkeypatch.setattr(group.Group, "_walk_on", lambda self: self._walked())
 
 
 def forgets_to_raise(monkeypatch):

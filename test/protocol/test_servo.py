@@ -17,7 +17,7 @@ from simulated_time import Bench, axes
 from epos2_ros.configuration.driver import DriverConfig
 from epos2_ros.errors import UnfinishedTrajectory
 from epos2_ros.motion.trajectory import Trajectory
-from epos2_ros.protocol.group import Phase
+from epos2_ros.protocol.phase import Phase
 from epos2_ros.sim.epos2 import Epos2
 
 QC_PER_RAD = 2000 * 100 / (2 * math.pi)

@@ -21,7 +21,7 @@ from epos2_ros.errors import ConfigurationError, DriveError, MotionAborted
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.protocol.clock import MasterClock
 from epos2_ros.protocol.frame import Frame
-from epos2_ros.protocol.group import Phase
+from epos2_ros.protocol.phase import Phase
 from epos2_ros.sim.epos2 import Dictionary, Epos2
 
 SYNC, TPDO3, RPDO2, RPDO3 = 0x080, 0x380, 0x300, 0x400

@@ -30,7 +30,7 @@ from campaign import (
 )
 
 from epos2_ros.errors import DriveError, Epos2RosError
-from epos2_ros.protocol.group import Phase
+from epos2_ros.protocol.phase import Phase
 from epos2_ros.sim.cl3e import Cl3e
 
 TROUBLED = 0  # place of the drive

@@ -32,7 +32,7 @@ from epos2_ros.configuration.driver import DriverConfig
 from epos2_ros.errors import DriveError, TrajectoryError
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.protocol.execution import Execution
-from epos2_ros.protocol.group import Phase
+from epos2_ros.protocol.phase import Phase
 from epos2_ros.replay import program
 from epos2_ros.sim.copley import Copley
 from epos2_ros.sim.epos2 import Epos2

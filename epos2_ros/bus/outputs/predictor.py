@@ -21,9 +21,9 @@ from epos2_ros.motion.foresight import Foresight
 from epos2_ros.motion.reference import Reference
 from epos2_ros.motion.stream import Stream
 from epos2_ros.motion.trapezoid import Trapezoid
-from epos2_ros.protocol.group import IN_MOTION, End, Phase
 from epos2_ros.protocol.machine import Machine
 from epos2_ros.protocol.outputs.outputs import Outputs
+from epos2_ros.protocol.phase import IN_MOTION, End, Phase
 
 PIECE_MS = 10_000
 

@@ -24,8 +24,8 @@ from epos2_ros.errors import ConfigurationError, DriveError, MotionAborted, Traj
 from epos2_ros.motion.compare import Prediction, predict
 from epos2_ros.motion.crossings import Path
 from epos2_ros.motion.trajectory import Trajectory
-from epos2_ros.protocol.group import Phase
 from epos2_ros.protocol.outputs.outputs import OutputEvent, Outputs, Tally
+from epos2_ros.protocol.phase import Phase
 from epos2_ros.sim.copley import Copley
 from epos2_ros.sim.epos2 import Epos2
 

@@ -1,0 +1,160 @@
+"""What is wrong with the drives of a bus: what they say, that they are silent, or their clocks.
+
+And which of them can't be trusted any more to be what they were brought up to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from epos2_ros.protocol.drive import Drive
+from epos2_ros.protocol.intake import BOOT_UP, NMT_START, TOGGLE_BIT
+from epos2_ros.protocol.outbox import Outbox
+from epos2_ros.protocol.phase import BEGUN, ENABLED, Phase
+from epos2_ros.protocol.silence import Silence
+from epos2_ros.protocol.timekeeper import OPERATIONAL, Timekeeper
+
+OFF_REPORTS = 2  # in a row: a drive has left "operation enabled"
+NOT_OPERATIONAL = 2  # heartbeats in a row that say so: a drive has left NMT operational
+
+
+class Watch:
+    """Over all drives of a bus, from the start of their clocks on. Times are host µs."""
+
+    def __init__(self, drives: Sequence[Drive], time: Timekeeper, out: Outbox) -> None:
+        self._drives = tuple(drives)
+        self._time = time
+        self._out = out
+        self._silence = Silence(len(drives))
+        self._places = {drive: place for place, drive in enumerate(drives)}
+        self._clocked = {drive: index for index, drive in enumerate(time.drives)}
+        self._unheard: set[Drive] = set()  # were silent, and not brought up since
+        self._lost: set[Drive] = set()  # to be brought up anew
+
+    # ------------------------------------------------------------------ what was on the bus
+
+    def listened(self, t_us: float) -> None:
+        """There was a frame on the bus, whosoever's."""
+        self._silence.listened(t_us)
+
+    def heard(self, drive: Drive, t_us: float) -> None:
+        """It was this drive's."""
+        drive.heard_us = t_us
+        self._silence.heard(self._places[drive])
+
+    def on_heartbeat(self, drive: Drive, data: bytes) -> bool:
+        """Or its answer to life guarding, which has a toggle bit; whether that is trouble.
+
+        One may have waited since before the NMT start.
+        """
+        if data == BOOT_UP:  # its configuration is gone
+            drive.restarted = True
+            return True
+        if data[0] & ~TOGGLE_BIT == OPERATIONAL[0]:
+            drive.not_operational = 0
+            return False
+        drive.not_operational += 1
+        return drive.not_operational == NOT_OPERATIONAL
+
+    def on_nmt(self, command: int, node_id: int) -> bool:
+        """Another master's: what it stops does not listen to us any more. Whether it was any."""
+        if command == NMT_START:
+            return False
+        for drive in self._drives:
+            if node_id in (0, drive.node_id):
+                drive.not_operational = NOT_OPERATIONAL
+                self._lost.add(drive)
+        return True
+
+    # ------------------------------------------------------------------ who is lost
+
+    def doubt(self, drives: Iterable[Drive]) -> None:
+        """These do not do what they were told: what they are told by may not be what it was."""
+        self._lost.update(drives)
+
+    def may_have_restarted(self, drive: Drive) -> bool:
+        """Since it was last brought up: it has said so, or was silent."""
+        return drive.restarted or drive in self._unheard
+
+    def brought_up(self, drive: Drive) -> None:
+        """Nothing of before counts any more."""
+        drive.restarted, drive.not_operational = False, 0
+        self._lost.discard(drive)
+        self._unheard.discard(drive)
+
+    def lost(self, now_us: float) -> list[Drive]:
+        """To be brought up anew, until they are.
+
+        Restarted, not operational, clock astray, or without their SYNC; once silent, as they may
+        have restarted meanwhile; without something that was to be written to them; or in doubt.
+        """
+        missing = self._time.producer if self._time.sync_missing(now_us) else None
+        self._lost |= {
+            drive
+            for drive in self._drives
+            if self._away(drive)
+            or drive.node_id in self._out.half_written
+            or self._astray(drive)
+            or drive is missing
+        }
+        return [drive for drive in self._drives if drive in self._lost]
+
+    # ------------------------------------------------------------------ what is wrong
+
+    def silent(self, drive: Drive) -> bool:
+        """Whether a drive is not heard any more, as far as the bus was listened to."""
+        return self._time.running and self._silence.silent(self._places[drive])
+
+    def stopped_listening(self, drive: Drive) -> bool:
+        """Whether a drive has left NMT operational, and is otherwise as it was brought up."""
+        return drive.not_operational >= NOT_OPERATIONAL and not drive.restarted
+
+    def look(self, now_us: float, phase: Phase) -> bool:
+        """Whether something is wrong that no frame tells: silence, and clocks that are off."""
+        self._unheard |= {drive for drive in self._drives if self.silent(drive)}
+        self._lost |= {drive for drive in self._drives if self._away(drive)}
+        return any(
+            self._away(drive)
+            or self._left_operation(drive, phase)
+            or self._clock_trouble(drive, phase)
+            for drive in self._drives
+        ) or self._time.sync_missing(now_us)
+
+    def complaints(self, now_us: float, phase: Phase) -> str:
+        """What is wrong with the drives, axis by axis; "" if nothing."""
+        words = []
+        for drive in self._drives:
+            if away := self._away(drive) or self._left_operation(drive, phase):
+                words.append(f"{drive} {away}")
+            elif trouble := drive.trouble() or self._clock_trouble(drive, phase):
+                words.append(f"{drive}: {trouble}")
+        if self._time.producer is not None and self._time.sync_missing(now_us):
+            words.append(f"no SYNC from {self._time.producer}")
+        return "; ".join(words)
+
+    def _away(self, drive: Drive) -> str:
+        """Why a drive can't be commanded, or ""."""
+        if self.silent(drive):
+            return "is silent: check its power and the bus"
+        if drive.restarted:
+            return "has restarted: was its power off?"
+        if drive.not_operational >= NOT_OPERATIONAL:
+            return "is no longer in NMT operational: does somebody else command it?"
+        return ""
+
+    def _left_operation(self, drive: Drive, phase: Phase) -> str:
+        """What is wrong with the state of a drive that is to be enabled, or "".
+
+        One report may have been on its way for long.
+        """
+        if phase not in ENABLED or drive.off_reports < OFF_REPORTS:
+            return ""
+        return f"has left operation enabled by itself and is in {drive.state.value}"
+
+    def _astray(self, drive: Drive) -> bool:
+        return drive in self._clocked and self._time.astray(self._clocked[drive])
+
+    def _clock_trouble(self, drive: Drive, phase: Phase) -> str:
+        """What is wrong with the clock of a drive, or ""; in motion it takes less."""
+        index = self._clocked.get(drive)
+        return "" if index is None else self._time.trouble(index, phase in BEGUN)
