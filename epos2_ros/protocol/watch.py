@@ -111,14 +111,16 @@ class Watch:
 
     def look(self, now_us: float, phase: Phase) -> bool:
         """Whether something is wrong that no frame tells: silence, and clocks that are off."""
-        self._unheard |= {drive for drive in self._drives if self.silent(drive)}
-        self._lost |= {drive for drive in self._drives if self._away(drive)}
-        return any(
-            self._away(drive)
-            or self._left_operation(drive, phase)
-            or self._clock_trouble(drive, phase)
-            for drive in self._drives
-        ) or self._time.sync_missing(now_us)
+        wrong = self._time.sync_missing(now_us)
+        for drive in self._drives:
+            if self.silent(drive):
+                self._unheard.add(drive)
+            if self._away(drive) or self._clock_trouble(drive, phase):
+                self._lost.add(drive)
+                wrong = True
+            elif self._left_operation(drive, phase):
+                wrong = True
+        return wrong
 
     def complaints(self, now_us: float, phase: Phase) -> str:
         """What is wrong with the drives, axis by axis; "" if nothing."""

@@ -54,8 +54,8 @@ class Homing(Mode):
     words = "homing mode"
     start = START
     prepare_timeout_us = 2_000_000.0
-    confirm_timeout_us = math.inf
-    unconfirmed_words = ""
+    confirm_timeout_us = 1_000_000.0
+    unconfirmed_words = "homing has not begun"
 
     def __init__(self, drives: Sequence[Drive], out: Outbox) -> None:
         super().__init__(drives, out)
@@ -104,7 +104,14 @@ class Homing(Mode):
         self._start_us = start_us
 
     def unconfirmed(self) -> Sequence[Drive]:
-        return ()
+        """Bit 10 alone says "interrupted or not started" (CiA 402-2, homing mode)."""
+        return [
+            drive
+            for drive in self._searches
+            if not self._said(drive)
+            or drive.statusword & (cia402.TARGET_REACHED | ATTAINED | ERROR)
+            == cia402.TARGET_REACHED
+        ]
 
     def advance(self, path_ms: float, now_us: float) -> str:
         for drive, search in self._searches.items():
