@@ -23,7 +23,6 @@ from epos2_ros.protocol import epos2, homing_methods
 from epos2_ros.protocol.copley import TPDO_MAPPINGS
 from epos2_ros.protocol.family import Family, Field
 from epos2_ros.protocol.pdo import ASYNCHRONOUS, SYNCHRONOUS, PdoMapping
-from epos2_ros.protocol.sdo import SdoWrite
 
 VENDOR_ID = 0x0000026C
 MODE_PROFILE_POSITION = 1
@@ -60,14 +59,6 @@ def motion_units(units: AxisUnits) -> tuple[float, float]:
     return units.counts_per_turn / 60, units.counts_per_turn / 60
 
 
-def home_objects(position_qc: int, back_off_qc: int) -> tuple[SdoWrite, ...]:
-    """The home is at `position_qc`; nothing moves on from there.
-
-    READING: zero is the home offset on from the home (CiA 402), so the home is at minus that.
-    """
-    return (SdoWrite.integer(epos2.HOME_OFFSET, 0, -position_qc, 4, signed=True),)
-
-
 FAMILY = Family(
     key="cl3e",
     name="a Nanotec CL3-E",
@@ -97,7 +88,7 @@ FAMILY = Family(
     },  # CiA 301, 7.2.7.1, and CiA 402
     rest_operation=MODE_PROFILE_POSITION,
     motion_units=motion_units,
-    home_objects=home_objects,
+    home_objects=homing_methods.shifted_zero,
     homing_methods=homing_methods.STANDARD,
     has_clock=False,
     life_guarding=True,

@@ -20,7 +20,7 @@ units by the factor groups 0x608F, 0x6091 and 0x6092.
 
 from __future__ import annotations
 
-from epos2_ros.protocol import epos2
+from epos2_ros.protocol import epos2, homing_methods
 from epos2_ros.protocol.family import Family, Field
 from epos2_ros.protocol.pdo import ASYNCHRONOUS, SYNCHRONOUS, PdoMapping
 
@@ -84,8 +84,8 @@ FAMILY = Family(
     emergencies=epos2.EMERGENCIES,
     rest_operation=MODE_PROFILE_POSITION,
     motion_units=lambda units: (VELOCITY_UNIT_COUNTS_S, ACCELERATION_UNIT_COUNTS_S2),
-    home_objects=lambda position_qc, back_off_qc: (),
-    homing_methods={},  # not offered yet
+    home_objects=homing_methods.shifted_zero,
+    homing_methods=homing_methods.COPLEY,
     has_clock=False,
     life_guarding=True,
     pdos=8,

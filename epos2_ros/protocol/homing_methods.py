@@ -11,6 +11,9 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from epos2_ros.errors import ConfigurationError
+from epos2_ros.protocol.sdo import SdoWrite
+
+HOME_OFFSET = 0x607C
 
 
 class Method(NamedTuple):
@@ -41,6 +44,21 @@ EPOS2: Mapping[int, Method] = {
     -3: Method("current_threshold_positive", 1),
     -4: Method("current_threshold_negative", -1),
 }
+COPLEY: Mapping[int, Method] = {
+    **STANDARD,
+    -1: Method("hard_stop_positive", 1),
+    -2: Method("hard_stop_negative", -1),
+    -3: Method("hard_stop_positive_index", 1),
+    -4: Method("hard_stop_negative_index", -1),
+}
+
+
+def shifted_zero(position_qc: int, back_off_qc: int) -> tuple[SdoWrite, ...]:
+    """Where 0x607C moves nothing: the home is at `position_qc`, and the axis stays about there.
+
+    READING: zero is the home offset on from the home (CiA 402), so the home is at minus that.
+    """
+    return (SdoWrite.integer(HOME_OFFSET, 0, -position_qc, 4, signed=True),)
 
 
 def find(method: str, methods: Mapping[int, Method], parameter: str, maker: str) -> int:

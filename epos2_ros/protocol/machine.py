@@ -161,11 +161,6 @@ def _search(axis: AxisConfig, drive: Drive) -> Search:
     homing, at = axis.homing, f"axes.{axis.joint}.homing"
     assert homing is not None
     methods, units = drive.family.homing_methods, AxisUnits.of(axis)
-    if not methods:
-        raise ConfigurationError(
-            f"{at}.method is {homing.method!r}; homing of {drive.family.maker}'s drives is not "
-            "offered yet: leave it out, and home the drive with its maker's tool"
-        )
     number = find(homing.method, methods, f"{at}.method", drive.family.maker)
     name, direction = methods[number]
     if homing.back_off and not drive.family.backs_off:

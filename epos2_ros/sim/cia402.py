@@ -22,7 +22,7 @@ from .dictionary import (
     Entry,
     SdoAbort,
 )
-from .homing import ACTUAL_POSITION, METHODS, Search, Switches, plan
+from .homing import ACTUAL_POSITION, STANDARD, Search, Stop, Switches, plan
 from .motor import Motor
 from .profile import Profile, jog, stop, trapezoid
 from .slave import HEARTBEAT_ERROR, INF, Identity, Slave
@@ -31,6 +31,8 @@ FOLLOWING_ERROR = 0x8611
 SOFTWARE_POSITION_LIMIT = 0xFF09
 MAX_RPM = 25_000
 UNLIMITED = 0xFFFF_FFFF
+# maxon's own homing methods: against a current threshold, the first two back to an index
+CURRENT_THRESHOLD = {-1: Stop(1, True), -2: Stop(-1, True), -3: Stop(1, False), -4: Stop(-1, False)}
 _SETTLED_QC = 1e-3
 _MA_PER_RPM_S = 0.02  # motor current for an acceleration: an inertia, no friction
 
@@ -333,7 +335,7 @@ class Drive(Slave):
             raise SdoAbort(AbortCode.DEVICE_STATE)
 
     def _check_homing_method(self, value: int) -> None:
-        if value not in METHODS:
+        if value not in STANDARD and value not in CURRENT_THRESHOLD:
             raise SdoAbort(AbortCode.VALUE_RANGE)
 
     def _check_max_velocity(self, value: int) -> None:
@@ -602,7 +604,11 @@ class Drive(Slave):
                 self._home_found(here + self._home_offset.value)
                 return
             self._homing = plan(
-                method, here - self._machine_zero, self._switches, self.counts_per_turn
+                method,
+                here - self._machine_zero,
+                self._switches,
+                self.counts_per_turn,
+                CURRENT_THRESHOLD,
             )
             self._begin_search()
 

@@ -22,6 +22,7 @@ from functools import partial
 
 from .clock import MotionClock
 from .copley_compare import CompareModule, SoftwarePin, TraceMemory
+from .copley_homing import Homing
 from .copley_pvt import FLUSH, PvtBuffer, PvtPath
 from .dictionary import (
     INTEGER8,
@@ -38,6 +39,7 @@ from .dictionary import (
     SdoAbort,
     check_signature,
 )
+from .homing import Switches
 from .maker_table import PdoRow
 from .profile import Profile, stop, trapezoid
 from .recorder import Recorder
@@ -48,7 +50,7 @@ COPLEY_CONTROLS = 0x0000_00AB
 LOOP_US = 250.0  # 4 kHz (the note, "Position extrapolation")
 NUMBER_OF_OUTPUTS = 8
 TRACE_WORDS = 8192
-PROFILE_POSITION, INTERPOLATED_POSITION = 1, 7
+PROFILE_POSITION, HOMING, INTERPOLATED_POSITION = 1, 6, 7
 CUBIC = -2  # 0x60C0: PVT
 SLOW_DOWN_ON_QUICK_STOP_RAMP = 2  # of 0x605D
 CANOPEN_MODE = 30  # of 0x2300
@@ -107,7 +109,8 @@ class Status:
     VOLTAGE_ENABLED = 1 << 4
     REMOTE = 1 << 9
     TARGET_REACHED = 1 << 10
-    SETPOINT_ACKNOWLEDGE = INTERPOLATION_ACTIVE = 1 << 12
+    SETPOINT_ACKNOWLEDGE = INTERPOLATION_ACTIVE = HOMING_ATTAINED = 1 << 12
+    HOMING_ERROR = 1 << 13
 
 
 _PARTS = (
@@ -133,7 +136,12 @@ class Copley(Slave):
     record:       keep what it makes of PVT segments, for `executed`
     factors:      newer firmware's 0x608F, 0x6091 and 0x6092, as (value, value); older has none
     stuck_faults: bits of 0x2183 that come back when they are cleared
+    switches:     of the machine, for homing
+    turn:         of the motor, from index to index [counts]
     """
+
+    velocity_unit = VELOCITY_UNIT
+    acceleration_unit = ACCELERATION_UNIT
 
     def __init__(
         self,
@@ -151,7 +159,10 @@ class Copley(Slave):
         factors: Mapping[int, tuple[int, int]] | None = None,
         stuck_faults: int = 0,
         boot_ms: float = 0.0,
+        switches: Switches | None = None,
+        turn: int = 2000,
     ) -> None:
+        self._homing = Homing(self, switches or Switches(), turn)
         self._factors = factors or {}
         self._stuck_faults = stuck_faults
         self.faults = stuck_faults  # 0x2183
@@ -178,6 +189,8 @@ class Copley(Slave):
         self._moved: Motion | None = None  # by hand
         self._profile: Profile | None = None
         self._profile_us = 0.0  # when it began
+        self._setpoint: int | None = None
+        self._next_setpoint: int | None = None
         self.arrived_us = -math.inf  # when the last profile was over
         self.clock = MotionClock(offset_us, drift_ppm, 1.0)
         self.pvt = PvtBuffer()
@@ -219,7 +232,36 @@ class Copley(Slave):
             word |= Status.SETPOINT_ACKNOWLEDGE
         if self.ip_active:
             word |= Status.INTERPOLATION_ACTIVE
+        if self._homing.attained:
+            word |= Status.HOMING_ATTAINED
+        if self._homing.failed:
+            word |= Status.HOMING_ERROR
         return word
+
+    # --- what homing mode moves -----------------------------------------------------------
+
+    @property
+    def place(self) -> float:
+        return self._shaft
+
+    def demand_now(self) -> tuple[float, float]:
+        return self._demand(self.now_us)
+
+    def follow(self, profile: Profile) -> None:
+        self._follow_profile(profile)
+        self._dirty = True
+
+    def rename(self, shift: float) -> None:
+        position, velocity = self._demand(self.now_us)
+        self._shaft += shift
+        self.extrapolated += shift
+        self._commanded = position + shift
+        self._profile = Profile(position + shift, velocity).cruise()
+        self._profile_us = self.now_us
+        self._setpoint = self._next_setpoint = None
+        self.module.stand(self.position_actual)
+
+    # --- more observation -----------------------------------------------------------------
 
     @property
     def ip_active(self) -> bool:
@@ -327,6 +369,7 @@ class Copley(Slave):
             0x2300, mapped("Desired amplifier state", UNSIGNED16, value=CANOPEN_MODE)
         )
         self._build_interpolation()
+        self._homing.build(od)
         for index, values in self._factors.items():
             od.record(index, *(Entry("Factor", UNSIGNED32, value=value) for value in values))
         self._keep_makers_objects()
@@ -359,11 +402,12 @@ class Copley(Slave):
 
     @staticmethod
     def _check_mode(mode: int) -> None:
-        if mode not in (PROFILE_POSITION, INTERPOLATED_POSITION):
+        if mode not in (PROFILE_POSITION, HOMING, INTERPOLATED_POSITION):
             raise SdoAbort(AbortCode.VALUE_RANGE)
 
     def _on_mode(self, _: int) -> None:
         self._leave_path(self._deceleration)
+        self._homing.reset()
 
     def _keep_makers_objects(self) -> None:
         """What other drives have is not there: 0x1012 and 0x1016; and its PDOs from the factory."""
@@ -511,8 +555,7 @@ class Copley(Slave):
         self.state = State.FAULT if self.faults else State.SWITCH_ON_DISABLED
         self._word = 0
         self._acknowledged = False
-        self._setpoint: int | None = None
-        self._next_setpoint: int | None = None
+        self._setpoint = self._next_setpoint = None
         self._profile = self._path = None
         self.pvt.reset()
         self._commanded = self._shaft
@@ -550,11 +593,14 @@ class Copley(Slave):
             self._acknowledged = False
         elif self._mode.value == INTERPOLATED_POSITION:
             self._command_path(last, word)
+        elif self._mode.value == HOMING:
+            self._homing.command(last, word)
         else:
             self._command_profile(last, word)
 
     def _switch_off(self, state: State) -> None:
         self.state = state
+        self._homing.reset()
         self._profile = self._path = self._next_setpoint = None
         self._acknowledged = False
         if self._moved is None:
@@ -744,6 +790,7 @@ class Copley(Slave):
         else:
             self._shaft = self._commanded
         self._velocity = velocity
+        self._homing.watch()
         if abs(self._commanded - self._shaft) > self._tracking_error.value:
             self._latch(FOLLOWING_ERROR_BIT, FOLLOWING_ERROR)
         profile = self._profile

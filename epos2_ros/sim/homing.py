@@ -6,13 +6,20 @@ Positions are those of the machine, in qc: they stay when homing gives the axis 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import NamedTuple
 
 ACTUAL_POSITION = (35, 37)
-# maxon's own: current threshold positive and negative, the first two with an index
-CURRENT_THRESHOLD = {-1: 1, -2: -1, -3: 1, -4: -1}
-METHODS = (*CURRENT_THRESHOLD, 1, 2, 7, 11, 17, 18, 23, 27, 33, 34, *ACTUAL_POSITION)
+STANDARD = (1, 2, 7, 11, 17, 18, 23, 27, 33, 34, *ACTUAL_POSITION)
+
+
+class Stop(NamedTuple):
+    """A maker's method against a mechanical stop: which way, and whether back to an index."""
+
+    direction: int
+    to_index: bool
 
 
 @dataclass(frozen=True)
@@ -39,14 +46,22 @@ class Search(NamedTuple):
     slow: bool
 
 
-def plan(method: int, position: float, switches: Switches, counts_per_turn: int) -> list[Search]:
+def plan(
+    method: int,
+    position: float,
+    switches: Switches,
+    counts_per_turn: int,
+    stops: Mapping[int, Stop] = MappingProxyType({}),
+) -> list[Search]:
     """The searches of a homing method from `position` on; the last edge is home (CiA 402).
+
+    `stops` are the methods that the drive's maker has besides.
 
     Methods 1, 2, 7 and 11 go on to the next index pulse after what 17, 18, 23 and 27 do; 33
     and 34 look for an index pulse alone; 35 and 37 take the position as it is.
     """
-    if method in CURRENT_THRESHOLD:
-        return _at_the_stop(method, switches, counts_per_turn)
+    if method in stops:
+        return _at_the_stop(stops[method], switches, counts_per_turn)
     low, high = switches.home
     searches: list[Search] = []
     if method in (1, 17):
@@ -70,12 +85,12 @@ def plan(method: int, position: float, switches: Switches, counts_per_turn: int)
     return searches
 
 
-def _at_the_stop(method: int, switches: Switches, counts_per_turn: int) -> list[Search]:
+def _at_the_stop(method: Stop, switches: Switches, counts_per_turn: int) -> list[Search]:
     """Against a mechanical stop; with an index, back to the first one off it."""
-    direction = CURRENT_THRESHOLD[method]
+    direction, to_index = method
     stop = switches.positive_stop if direction > 0 else switches.negative_stop
     searches = [Search(direction, stop, False)]
-    if method in (-1, -2) and math.isfinite(stop):
+    if to_index and math.isfinite(stop):
         turns = (stop - switches.index) / counts_per_turn
         turn = math.ceil(turns) - 1 if direction > 0 else math.floor(turns) + 1
         searches.append(Search(-direction, switches.index + turn * counts_per_turn, True))

@@ -235,7 +235,7 @@ def test_an_axis_that_has_to_be_homed_does_not_move_before():
     [
         ("epos2", "hard_stop_negative", "maxon's drives have .*current_threshold_negative"),
         ("epos2", "-5", "maxon's drives have"),
-        ("copley", "here", "Copley's drives is not offered yet"),
+        ("copley", "current_threshold_negative", "Copley's drives have .*hard_stop_negative"),
     ],
 )
 def test_a_method_that_a_family_does_not_have_is_refused(drive, method, words):
@@ -244,6 +244,92 @@ def test_a_method_that_a_family_does_not_have_is_refused(drive, method, words):
         ConfigurationError, match=rf"axes\.x\.homing\.method is '{method}'; .*{words}"
     ):
         machine_of(DriverConfig(axes=(axis,)))
+
+
+# ---------------------------------------------------------------------------- Copley
+
+
+def copley_bench(method: str, switches: Switches = SWITCHES, **changes) -> Bench:
+    axis = AxisConfig(
+        "x", 1, drive="copley", counts_per_turn=2000, gear_ratio=100.0, **LIMITS,
+        homing=homing(method, **changes),
+    )  # fmt: skip
+    bench = Bench(DriverConfig(axes=(axis,)), [Copley(1, switches=switches)])
+    bench.enable()
+    return bench
+
+
+COPLEY_PLACES = {
+    "hard_stop_positive": (-1, 8_500),
+    "hard_stop_negative": (-2, -8_500),
+    "hard_stop_positive_index": (-3, 8_150),
+    "hard_stop_negative_index": (-4, -7_850),
+    "negative_limit_switch": (17, -9000),
+    "home_switch_positive_index": (7, 150),
+    "index_negative": (33, -1850),
+    "here": (35, 0),
+}
+
+
+@pytest.mark.parametrize("method", COPLEY_PLACES)
+def test_a_copley_axis_is_where_it_is_said_to_be_when_homed(method):
+    """Its −1 and −2 are hard stops without an index, −3 and −4 with; 0x607C moves nothing."""
+    bench = copley_bench(method, offset=0.5)
+    drive = bench.drives[0]
+    before, told = limits_of(drive), len(bench.frames)
+    home(bench)
+    number, place = COPLEY_PLACES[method]
+    written = [
+        int.from_bytes(frame.data[4:5], "little", signed=True)
+        for _, frame, echo in bench.frames[told:]
+        if echo and frame.can_id == 0x601 and frame.data[1:3] == b"\x98\x60"
+    ]
+    assert written == [number]
+    zero = drive._homing.machine_zero
+    assert place + zero == pytest.approx(0.5 * QC_PER_RAD, abs=1)  # the home is at `offset`
+    assert drive.position_actual - zero == pytest.approx(place, abs=150)  # braked beyond it
+    here = drive.position_actual
+    bench.run(1.0)
+    assert drive.position_actual == here
+    assert bench.machine.drives[0].homed == method and limits_of(drive) == before
+    bench.wait(bench.machine.move_to({"x": 0.1}))
+    assert drive.position_actual == round(0.1 * QC_PER_RAD)
+
+
+def test_ways_a_copley_axis_fails_to_home():
+    limits = Switches(negative_limit=-3000, positive_limit=3000)
+    bench = copley_bench("home_switch_positive", limits)
+    with pytest.raises(MotionAborted, match=r"x .*home_switch_positive failed at .*bit 13"):
+        home(bench)
+    bench = copley_bench("hard_stop_negative", Switches())
+    with pytest.raises(MotionAborted, match=r"x .*hard_stop_negative .*max_travel"):
+        home(bench)
+    bench.run(2.0)
+    here = bench.drives[0].position_actual
+    assert abs(here) < 2.2 * QC_PER_RAD
+    bench.run(1.0)
+    assert bench.drives[0].position_actual == here
+    with pytest.raises(ConfigurationError, match=r"back_off is 0.1; Copley's drives do not"):
+        copley_bench("index_positive", back_off=0.1)
+
+
+@pytest.mark.parametrize("stop", ["halt", "quick_stop", "disable"])
+def test_a_copley_axis_stops_searching_on_request(stop):
+    bench = copley_bench("negative_limit_switch")
+    motion = bench.machine.home([0])
+    bench.run(0.6)
+    if stop == "disable":
+        bench.wait(bench.group.halt())
+    bench.wait(getattr(bench.group, stop)())
+    bench.run(1.0)
+    assert isinstance(motion.exception(timeout=0), MotionAborted)
+    here = bench.drives[0].position_actual
+    bench.wait(bench.group.enable())
+    bench.run(1.0)
+    assert bench.drives[0].position_actual == here
+    assert not bench.machine.drives[0].homed
+    home(bench)
+    assert bench.machine.drives[0].homed == "negative_limit_switch"
 
 
 # ---------------------------------------------------------------------------- point to point
