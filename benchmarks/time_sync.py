@@ -79,7 +79,9 @@ def bench(
         DriverConfig(
             axes=axes(count), sync_period=period_s, sync_source=source, sync_producer=producer
         ),
-        drives(count, record, Dictionary.MAKER if producer == "host" else Dictionary.NOTE),
+        drives(
+            count, record, Dictionary.NOTE if {source, producer} - {"host"} else Dictionary.MAKER
+        ),
         bring_up=False,
     )
     made.late_us = lambda: rng.uniform(0.0, jitter_us)

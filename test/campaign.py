@@ -362,14 +362,6 @@ class Stage(Bench):
         self.watch.handed_over(frame)
         super()._push(frame)
 
-    def _on_answer(self, data: bytes) -> None:
-        """As canopen's client here: only an answer to what was asked counts."""
-        if self._left:
-            what = self._left[0]
-            of = what.index.to_bytes(2, "little") + bytes([what.subindex])
-            if data[1:4] == of:
-                super()._on_answer(data)
-
     def reset_fault(self) -> Future[None]:
         """As `Driver.reset_fault`."""
         lost = self.lost() if self.group.time.running else list(range(len(self.nodes)))

@@ -25,13 +25,15 @@ from epos2_ros.protocol.clock import time_of_day
 from epos2_ros.protocol.frame import Frame
 from epos2_ros.protocol.group import Group
 from epos2_ros.protocol.intake import SDO_RESPONSE, Rejects, intake_of
-from epos2_ros.protocol.outbox import Event, SdoRequest
+from epos2_ros.protocol.outbox import Event, Poll, SdoRequest
 from epos2_ros.protocol.phase import Phase, follows
 from epos2_ros.protocol.sdo import SdoRead, SdoWrite
 from epos2_ros.sim.can_bus import Remote, SimulatedBus, TransmitQueueFull
 from epos2_ros.sim.epos2 import Epos2
 
 SDO_PATIENCE_US = 300_000.0  # as long as canopen waits
+POLL_PATIENCE_US = 50_000.0  # as `Poller`, …
+BUSY_US = 20_000.0  # … with whoever has something else to answer
 
 
 def axes(count: int = 6, **changes: object) -> tuple[AxisConfig, ...]:
@@ -89,6 +91,9 @@ class Bench:
         self._left: list[SdoWrite | SdoRead] = []  # of it
         self._values: list[int] = []
         self._asked_us = 0.0
+        self._unpolled: dict[int, bytes] = {}  # nodes that are to be asked, and what
+        self._polled: set[int] = set()  # nodes whose answer to a poll is to come
+        self._polled_us = 0.0
         if bring_up:
             self.bring_up()
 
@@ -158,10 +163,17 @@ class Bench:
     def _next_request(self) -> SdoRequest | None:
         """What the driver's worker would do now: one request after another."""
         requests = self.machine.out.requests
-        return requests[0] if requests and self._job is None and not self._serving else None
+        free = self._job is None and not self._serving
+        if not (requests and free) or (self._polling and requests[0].node_id in self._polled):
+            return None
+        return requests[0]
 
     def _serve(self) -> None:
         """As the worker: SDO goes on beside everything else, where each access is a frame."""
+        polls = self.machine.out.polls
+        while polls:
+            self._poll(polls.popleft())
+        self._ask_polled()
         if self._job is not None and self.now_us > self._asked_us + ATTEMPTS * SDO_PATIENCE_US:
             self._finish("does not answer")
         request = self._next_request()
@@ -170,24 +182,46 @@ class Bench:
             self._left, self._values = [*request.writes, *request.reads], []
             self._access()
 
+    def _poll(self, poll: Poll) -> None:
+        """As `ClockReader`: of whoever has nothing else to answer."""
+        if self._polling:
+            return
+        self._unpolled = dict.fromkeys(poll.node_ids, poll.read.request)
+        self._polled_us = self.now_us
+        self._ask_polled()
+
+    def _ask_polled(self) -> None:
+        """Those that have nothing else to answer (any more), soon or not at all."""
+        if self.now_us > self._polled_us + BUSY_US:
+            self._unpolled.clear()
+        busy = self._job.node_id if self._job is not None else 0
+        for node_id in [] if self._serving else sorted(self._unpolled.keys() - {busy}):
+            self._polled.add(node_id)
+            self._push(Frame(0x600 + node_id, self._unpolled.pop(node_id)))
+
+    @property
+    def _polling(self) -> bool:
+        if self.now_us > self._polled_us + POLL_PATIENCE_US:
+            self._polled.clear()
+        return bool(self._polled)
+
     def _access(self) -> None:
         assert self._job is not None
         if not self._left:
             self._finish("")
             return
-        what, data = self._left[0], b""
-        command = 0x40
-        if isinstance(what, SdoWrite):
-            data, command = what.data, 0x23 | (4 - len(what.data)) << 2
-        head = bytes([command]) + what.index.to_bytes(2, "little") + bytes([what.subindex])
         self._asked_us = self.now_us
-        self._push(Frame(0x600 + self._job.node_id, head + data.ljust(4, b"\0")))
+        self._push(Frame(0x600 + self._job.node_id, self._left[0].request))
 
     def _on_answer(self, data: bytes) -> None:
-        if not self._left or data[0] == 0x80:
+        """As canopen's client here: only an answer to what was asked counts."""
+        what = self._left[0] if self._left else None
+        if what is not None and data[1:4] != what.request[1:4]:
+            return
+        if what is None or data[0] == 0x80:
             self._finish(f"abort {int.from_bytes(data[4:], 'little'):08X}")
             return
-        what = self._left.pop(0)
+        self._left.pop(0)
         if isinstance(what, SdoRead):
             self._values.append(what.decode(data[4:]))
         self._access()
@@ -244,7 +278,7 @@ class Bench:
 
     def _send_service(self, frame: Frame) -> None:
         """canopen asks and waits: the answer has to arrive before this returns."""
-        self._await(lambda: self._job is None)
+        self._await(lambda: self._job is None and not self._polling)
         self._push(frame)
         self.transmitter.pump(self.now_us)
         if frame.can_id & 0x780 != 0x600:
@@ -270,6 +304,7 @@ class Bench:
             self.transmitter.on_echo(frame)
         elif can_id & 0x780 == 0x580:
             self._answered = self._job is None
+            self._polled.discard(can_id & 0x7F)
         if frame.remote:
             self.machine.advance(self.now_us)
             self._flush()

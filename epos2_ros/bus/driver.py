@@ -22,7 +22,9 @@ from epos2_ros.bus.link import Link
 from epos2_ros.bus.nodes import DriveNode, check, node_of
 from epos2_ros.bus.outputs.predictor import Predictor
 from epos2_ros.bus.outputs.service import OutputService
+from epos2_ros.bus.poller import Poller
 from epos2_ros.bus.reactor import Reactor
+from epos2_ros.bus.sdo_client import RemoteNode
 from epos2_ros.bus.sdo_jobs import perform
 from epos2_ros.bus.settings import machine_of
 from epos2_ros.bus.simulation import Simulation
@@ -97,6 +99,7 @@ class Driver:
         self._machine = machine_of(config)
         self._group, self._path = self._machine.group, self._machine.path
         self._worker = Worker(partial(self._supervisor.broke, "SDO"))
+        self._poller = Poller(self._canopen_node, partial(self._supervisor.broke, "SDO"))
         self._announcer = ThreadPoolExecutor(1, thread_name_prefix="events")
         self._outputs = OutputService(
             config.axes,
@@ -255,6 +258,7 @@ class Driver:
             except DriveError as error:
                 self._warn(str(error))
         self._worker.close()
+        self._poller.close()
         self._reactor.stop()
         self._group.give_up("the bus is closed")  # from now on it is this thread's
         if self._log is not None:
@@ -548,6 +552,8 @@ class Driver:
             self._link.send(out.frames.popleft())
         while out.requests:
             self._worker.post(partial(self._perform, out.requests.popleft()))
+        while out.polls:
+            self._poller.poll(out.polls.popleft())
         while self._rejects.notices:
             self._warn(self._rejects.notices.popleft())
         while out.events:
@@ -555,8 +561,11 @@ class Driver:
         if self._trace is not None:
             self._trace.watch()
 
+    def _canopen_node(self, node_id: int) -> RemoteNode:
+        return next(n.node for n in self._nodes.values() if n.node.id == node_id)
+
     def _perform(self, request: SdoRequest) -> None:
-        node = next(n.node for n in self._nodes.values() if n.node.id == request.node_id)
+        node = self._canopen_node(request.node_id)
         values: Sequence[int] = ()
         error = ""
         try:

@@ -6,9 +6,11 @@ from dataclasses import dataclass, replace
 
 from epos2_ros.bus.cia402_node import GOES_ON, Cia402Node
 from epos2_ros.bus.link import Network
+from epos2_ros.bus.sdo_access import Refused
 from epos2_ros.errors import DriveError
 from epos2_ros.protocol import epos2
 from epos2_ros.protocol.family import Family
+from epos2_ros.protocol.sdo import NOT_MAPPABLE
 
 BUFFER_STATUS_INHIBIT_US = 5_000  # the note's example: 5.0 ms
 _LIMITS = ("min_position", "max_position")
@@ -59,7 +61,17 @@ class Epos2Node:
             epos2.TPDO1: BUFFER_STATUS_INHIBIT_US,
             epos2.TPDO2: self.settings.state_inhibit_us,
         }
-        return self._access.configure(self._write_objects, inhibit_us)
+        try:
+            return self._access.configure(self._write_objects, inhibit_us)
+        except Refused as refusal:
+            s = self.settings
+            if refusal.code == NOT_MAPPABLE and s.clock_master == s.node_id:
+                raise DriveError(
+                    f"{self._access} can't be the clock master: it can't send its clock (0x1013 "
+                    "can't be mapped into a TPDO, as by maxon's EDS of 2011 and later); set "
+                    "sync.source to host"
+                ) from refusal
+            raise
 
     def produce_sync(self, period_us: int) -> None:
         """The drive sends SYNC from now on; 0: no longer."""

@@ -6,11 +6,15 @@ request, and so on. Here an answer counts only for the request it belongs to: by
 and index, in a segmented transfer by the toggle bit. As one to an earlier request for the same
 object looks alike, after a time-out an object that never changes is read first: what comes before
 the answer to that is old. Then the request is made again.
+
+One transfer at a time: whoever begins one while another is at work, on another thread, waits; a
+poll (`begin`, `end`) not for long.
 """
 
 from __future__ import annotations
 
 import queue
+import threading
 import time
 
 import canopen
@@ -18,6 +22,7 @@ from canopen.sdo import SdoClient as CanopenSdoClient
 from canopen.sdo import SdoCommunicationError
 
 from epos2_ros.protocol import epos2
+from epos2_ros.protocol.sdo import SdoRead
 
 RESPONSE_TIMEOUT_S = 0.3
 ATTEMPTS = 3
@@ -27,7 +32,7 @@ _UPLOAD, _DOWNLOAD, _UPLOAD_SEGMENT, _DOWNLOAD_SEGMENT, _ABORT = 2, 1, 3, 0, 4
 _ANSWER = {_UPLOAD: 2, _DOWNLOAD: 3, _UPLOAD_SEGMENT: 0, _DOWNLOAD_SEGMENT: 1}
 _TOGGLE = 0x10
 # Read to get in step again; both exist in every device and never change (CiA 301).
-_CONSTANTS = ((epos2.DEVICE_TYPE, 0), (epos2.IDENTITY, 1))
+_CONSTANTS = (SdoRead(epos2.DEVICE_TYPE, 0, 4), SdoRead(epos2.IDENTITY, 1, 4))
 
 
 class SdoClient(CanopenSdoClient):
@@ -37,13 +42,17 @@ class SdoClient(CanopenSdoClient):
 
     def __init__(self, rx_cobid: int, tx_cobid: int, od: canopen.ObjectDictionary) -> None:
         super().__init__(rx_cobid, tx_cobid, od)
+        self._transfer = threading.RLock()  # held while one is in progress
         self._of = b""  # index and subindex of the transfer in progress
         self._segments = 0
         self._behind = False  # answers may be on their way that nobody waits for any more
+        self._polled = b""  # the request that was begun, …
+        self._polled_s = 0.0  # … and when
 
     def upload(self, index: int, subindex: int) -> bytes:
         """The data of an object, as long as the EDS says if it is there."""
-        data = bytes(super().upload(index, subindex))
+        with self._transfer:
+            data = bytes(super().upload(index, subindex))
         variable = self.od.get_variable(index, subindex)
         if variable is not None and variable.fixed_size and len(data) < len(variable) // 8:
             raise SdoCommunicationError(
@@ -54,9 +63,33 @@ class SdoClient(CanopenSdoClient):
     def download(self, index: int, subindex: int, data: bytes, force_segment: bool = False) -> None:
         """Write an object."""
         try:
-            super().download(index, subindex, data, force_segment)
+            with self._transfer:
+                super().download(index, subindex, data, force_segment)
         except RuntimeError as error:  # canopen, closing a transfer that has failed
             raise SdoCommunicationError(str(error)) from error
+
+    # ------------------------------------------------------------------ polls
+
+    def begin(self, request: bytes, wait_s: float = 0.0) -> bool:
+        """Ask without waiting for the answer; False if another transfer is at work so long.
+
+        Else `end` it, in the same thread.
+        """
+        if not self._transfer.acquire(timeout=max(wait_s, 0.0)):
+            return False
+        self._polled = _constant(request[1:4])[1] if self._behind else request
+        self.responses = queue.Queue()
+        self.send_request(self._polled)
+        self._polled_s = time.monotonic()
+        return True
+
+    def end(self, patience_s: float) -> None:
+        """Take in the answer to what was begun, so long after that at most."""
+        end_s = self._polled_s + patience_s
+        self._behind = self._response_to(self._polled, self._polled[1:4], end_s) is None
+        self._transfer.release()
+
+    # ------------------------------------------------------------------ inside
 
     def request_response(self, sdo_request: bytes) -> bytes:
         """One request and the answer to it."""
@@ -81,9 +114,7 @@ class SdoClient(CanopenSdoClient):
         raise SdoCommunicationError(f"no answer about {_name(self._of)} in time")
 
     def _catch_up(self) -> None:
-        index, subindex = next(c for c in _CONSTANTS if _multiplexer(*c) != self._of)
-        of = _multiplexer(index, subindex)
-        request = bytes([_UPLOAD << 5]) + of + bytes(4)
+        of, request = _constant(self._of)
         for _ in range(ATTEMPTS):
             self.send_request(request)
             if self._response_to(request, of) is not None:
@@ -91,9 +122,9 @@ class SdoClient(CanopenSdoClient):
                 return
         raise SdoCommunicationError(f"no answer about {_name(self._of)} in time")
 
-    def _response_to(self, request: bytes, of: bytes) -> bytes | None:
+    def _response_to(self, request: bytes, of: bytes, end_s: float | None = None) -> bytes | None:
         """None if it does not come in time; what comes before it is none of it."""
-        end_s = time.monotonic() + self.RESPONSE_TIMEOUT
+        end_s = end_s or time.monotonic() + self.RESPONSE_TIMEOUT
         while (left_s := end_s - time.monotonic()) > 0:
             try:
                 response = self.responses.get(timeout=left_s)
@@ -121,6 +152,12 @@ class RemoteNode(canopen.RemoteNode):
         return client
 
 
+def _constant(of: bytes) -> tuple[bytes, bytes]:
+    """Another object, that never changes, and the frame that reads it."""
+    read = next(read for read in _CONSTANTS if read.request[1:4] != of)
+    return read.request[1:4], read.request
+
+
 def _answers(response: bytes, request: bytes, of: bytes) -> bool:
     command, answer = request[0] >> 5, response[0] >> 5
     if answer == _ABORT:
@@ -130,10 +167,6 @@ def _answers(response: bytes, request: bytes, of: bytes) -> bool:
     if command in (_UPLOAD, _DOWNLOAD):
         return response[1:4] == of
     return not (response[0] ^ request[0]) & _TOGGLE
-
-
-def _multiplexer(index: int, subindex: int) -> bytes:
-    return index.to_bytes(2, "little") + bytes([subindex])
 
 
 def _name(of: bytes) -> str:

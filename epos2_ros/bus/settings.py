@@ -69,6 +69,7 @@ def fit_axis(axis: AxisConfig, config: DriverConfig) -> FitAxis:
         _velocity(axis, config, VELOCITY_HEADROOM) * units.velocity_unit_qc_s,
         most,
         spare,
+        config.least_velocity / 60 * axis.counts_per_turn,
     )
 
 

@@ -87,6 +87,7 @@ class DriverConfig:
     stream_ahead: float = 0.14  # as buffer_time, while points are streamed [s]
     tolerance: float = 1.0  # [qc]
     smoothness: float = 0.8  # as of motion.fit.Fitter
+    least_velocity: float = 0.0  # of a record, but 0 [rpm of the motor]
     start_tolerance: float = 0.01  # [rad or m]
     approach: bool = False  # go to the first point, where the axes are away from it
     goal_time: float = 1.0  # [s]; 0: no limit

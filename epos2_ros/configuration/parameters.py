@@ -168,6 +168,14 @@ GROUP: dict[str, Spec] = {
     "ipm.smoothness": Spec(
         0.8, "weight of smoothness against few records; 0 is fewest records", 0.0, 1e6
     ),
+    "ipm.least_velocity": Spec(
+        0.0,
+        "velocities in records are 0 or at least this [rpm of the motor]; 0: any. Drivers of two "
+        "robots with EPOS2 avoid those below 1 or 2 rpm and call it a limit of maxon's; no text of "
+        "maxon's has it. Try 2 if axes stutter at low speed",
+        0.0,
+        100.0,
+    ),
     "constraints.start_tolerance": Spec(
         0.01, "how far the first point may lie from where the robot is [rad or m]", 0.0
     ),
@@ -197,7 +205,7 @@ GROUP: dict[str, Spec] = {
     "simulation.dictionary": Spec(
         "maker",
         "simulated EPOS2: object dictionary of the maker's EDS, or of the application note, which "
-        "has 0x1006 (SYNC producer) and maps 0x60C4-02",
+        "has 0x1006 (SYNC producer) and maps 0x1013 (clock master) and 0x60C4-02 for transmission",
         choices=("maker", "note"),
     ),
     "simulation.log": Spec("", "simulated drives: .npz file written when the bus closes; '': none"),
@@ -338,6 +346,7 @@ class DriverParameters:
             stream_ahead=values["ipm.stream_ahead"],
             tolerance=values["ipm.tolerance"],
             smoothness=values["ipm.smoothness"],
+            least_velocity=values["ipm.least_velocity"],
             start_tolerance=values["constraints.start_tolerance"],
             approach=values["approach"],
             goal_time=values["constraints.goal_time"],

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import inf
+from math import ceil, inf
 from typing import Protocol
 
 import numpy as np
@@ -45,6 +45,8 @@ class FitAxis:
     max_acceleration_qc_s2: float = inf  # 0x60C5
     # What this leaves beside any commanded acceleration, or is to be enough without a limit.
     spare_acceleration_qc_s2: float = inf
+    # The velocity in a record is none or at least this; 0: any whole drive velocity unit.
+    least_velocity_qc_s: float = 0.0
 
 
 class Fitter:
@@ -85,6 +87,7 @@ class Fitter:
                     max(smoothness, 1e-6),
                     max_segment_ms,
                     min(axis.spare_acceleration_qc_s2 * 1e-6, 1e9),
+                    _whole(axis.least_velocity_qc_s, axis.velocity_unit_qc_s) * 1e-3,
                 )
             )
             for axis in axes
@@ -150,6 +153,11 @@ class Fitter:
                 "and the drive's velocity and acceleration limits"
             )
         return Record(int(plan[1]), int(plan[2]), time)
+
+
+def _whole(velocity_qc_s: float, unit_qc_s: float) -> float:
+    """The least whole number of units that is not less [qc/s]."""
+    return ceil(velocity_qc_s / unit_qc_s - 1e-9) * unit_qc_s
 
 
 class _Samples:

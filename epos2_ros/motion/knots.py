@@ -99,6 +99,7 @@ class Terms(NamedTuple):
     smoothness: float
     longest: int  # [ms]
     spare: float  # what `steepest` leaves beside any commanded acceleration [qc/ms²]
+    slowest: float  # a knot's velocity is none or at least this; whole units [qc/ms]
 
 
 class _Windows(NamedTuple):
@@ -184,10 +185,22 @@ def _reach(
 
 
 @inlined
+def _velocity(units: float, terms: Terms) -> float:
+    """A knot's velocity of about this [units]: nearer to none than `slowest` there is only none."""
+    v = float(floor(units + 0.5))
+    least = floor(terms.slowest / terms.unit + 0.5)
+    if 0 < abs(v) < least:
+        v = 0.0 if 2 * abs(v) < least else (least if v > 0 else -least)
+    return v
+
+
+@inlined
 def keeps(
     path: Path, k: int, p0: float, v0: float, time: int, p1: float, v1: float, terms: Terms
 ) -> bool:
     """Whether a segment keeps the tolerance at every millisecond, and the drive's limits."""
+    if 0 < abs(v1) < terms.slowest - terms.unit / 2:
+        return False
     mean = (p1 - p0) / time
     b = (3 * mean - 2 * v0 - v1) / time
     a = (v0 + v1 - 2 * mean) / (time * time)
@@ -298,7 +311,7 @@ def _enter(
                 continue
             if k1 < ends.k[one] and t % _SMOOTHER != 0:
                 continue  # only a smoother one can be better; some of them will do
-            v1 = floor(speed + j * level + 0.5)
+            v1 = _velocity(speed + j * level, terms)
             if not slowest <= v1 <= fastest:
                 continue
             gain -= expected * _roughness(path, k0, p0, v0, t, p1, v1 * terms.unit, terms)
@@ -570,7 +583,9 @@ def _careful(path: Path, plan: Vector, terms: Terms, end: int, near: int, turns:
         for one in range(ends):
             at = i * ends + one
             position[at] = place + one // (2 * turns + 1)
-            velocity[at] = unit * floor(speed + (one % (2 * turns + 1) - turns) * level + 0.5)
+            velocity[at] = unit * _velocity(
+                speed + (one % (2 * turns + 1) - turns) * level, terms
+            )
             cost[at], before[at] = inf, -1.0
     position[0], velocity[0], cost[0] = p0, v0, 0.0
     best, least, ended = -1, inf, False
@@ -701,7 +716,7 @@ def advance(
         left = rests_to - start
         plan[0] += left if left <= longest else min(longest, (left + 1) // 2)
     else:
-        terms = Terms(aims[0], aims[1], aims[2], aims[3], aims[4], longest, aims[6])
+        terms = Terms(aims[0], aims[1], aims[2], aims[3], aims[4], longest, aims[6], aims[7])
         for way in range(int(plan[_WAYS])):
             # of a rest that was not known
             if plan[_COMPLETE] == 0 and _knot(plan, way, int(plan[_KNOWN]), 1.0)[0] > end > start:
@@ -716,7 +731,9 @@ def advance(
             half = longest
             tolerance = aims[1] + beyond * _JUMP * jump
             while not found and half > 0:
-                terms = Terms(aims[0], tolerance, aims[2], aims[3], aims[4], half, aims[6])
+                terms = Terms(
+                    aims[0], tolerance, aims[2], aims[3], aims[4], half, aims[6], aims[7]
+                )
                 for wider in range(2):
                     near, turns = _NEAR << wider, _TURNS << wider
                     found = found or _careful(path, plan, terms, last, near, turns)
@@ -756,7 +773,7 @@ def looked_at(longest: int) -> int:
 def prepare() -> None:
     """Compile this module, or load what an earlier run has compiled, before time matters."""
     still = vector([0.0] * (looked_at(1) + 1))
-    aims = vector((1.0, 1.0, inf, inf, 0.0, 1, 0.0))
+    aims = vector((1.0, 1.0, inf, inf, 0.0, 1, 0.0, 0.0))
     advance(still, bends_of(still), 0, 2, aims, plan_from_rest(0.0))
 
 

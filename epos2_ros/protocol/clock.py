@@ -43,7 +43,8 @@ class MasterClock:
     """The time since TIME, and what to tell each drive after a SYNC. Times in µs.
 
     The master is the host, or the drive with index `master`, whose stamps the others take by
-    themselves: then this only tells the time and the diagnostics. `period_us` is that of SYNC.
+    themselves: then this only tells the time and the diagnostics. `period_us`: from one correction
+    of a drive to the next.
     """
 
     def __init__(self, drives: int, period_us: float, master: int | None = None) -> None:
@@ -92,13 +93,6 @@ class MasterClock:
         if shown is None:
             return 0.0
         return float(wrapped(latched - shown) - (self.master_us(t_us) - self._shown_us[drive]))
-
-    def answers(self, ahead_us: float, t_us: float) -> bool:
-        """Whether a clock so far ahead can be an answer to the SYNC of host time `t_us`.
-
-        A late answer to the SYNC before is off by what has passed since.
-        """
-        return abs(ahead_us) < (self.master_us(t_us) - self._sync_us) / 2
 
     def on_sync(self, t_us: float, latched: Sequence[int | None]) -> None:
         """A SYNC was on the bus at host time `t_us`.

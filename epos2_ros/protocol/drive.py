@@ -68,6 +68,7 @@ class Drive:
         self.heard_us = -math.inf
         self.sync_us = -math.inf  # when the last SYNC was
         self.asked_us = -math.inf  # when the last SDO request to it was on the bus
+        self.asked_clock = False  # since the last SYNC: what it answers is the clock at that
         self.restarted = False
         self.not_operational = 0  # heartbeats in a row that say so
         self.homed = ""  # the method by which it was referenced; "": it was not
@@ -112,6 +113,18 @@ class Drive:
         if "demand_qc" in values:
             self.demand_us = t_us
         return layout.objects
+
+    def on_clock_answer(self, data: bytes) -> frozenset[tuple[int, int]]:
+        """An SDO answer; the object it has reported if it is what the clock was at the last SYNC.
+
+        Asked before that SYNC, it may be what the clock was at the one before: it reports nothing.
+        """
+        read = epos2.CLOCK_AT_SYNC
+        latched = read.answered(data)
+        if latched is None or not self.asked_clock:
+            return frozenset()
+        self.latched = latched
+        return frozenset({(read.index, read.subindex)})
 
     def measured_us(self, inhibit_us: float) -> float:
         """The newest time at which it was at `position_qc`; -inf: it has not said yet.

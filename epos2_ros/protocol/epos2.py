@@ -14,18 +14,20 @@ PDOs (note, 3.7 and "Motion Synchronisation"). Identifiers are the predefined co
 | RPDO4 | 500+id  | asynchronous (255) | controlword: takes effect at once                  |
 | TPDO1 | 180+id  | event, inhibited   | statusword, buffer status                          |
 | TPDO2 | 280+id  | event, inhibited   | position actual, velocity actual                   |
-| TPDO3 | 380+id  | synchronous (1)    | time stamp of the SYNC, statusword, current        |
+| TPDO3 | 380+id  | synchronous (1)    | statusword, current                                |
 | TPDO4 | 480+id  | synchronous (1)    | position demand, buffer status, following error    |
 
 The two synchronous TPDOs repeat statusword and buffer status at every SYNC, so that a lost
 event is made good within one SYNC period.
 
-How many records are free (0x60C4-02) is read by SDO: the note maps it, but by the maker's own EDS
-it can't be mapped.
+Two objects are read by SDO that the note maps into transmit PDOs: how many records are free
+(0x60C4-02), which by the maker's own EDS can't be mapped, and what the drive's clock was at the
+last SYNC (0x1013), which by those of 2011 and 2013 can be mapped for reception only.
 
 With a drive as clock master ("Motion Synchronisation") the host sends no time stamps: TPDO3 of the
 master carries the time stamp and nothing else, RPDO3 of the others is on its COB-ID, and the
-master's TPDO4 is position demand, statusword and following error.
+master's TPDO4 is position demand, statusword and following error. So the master has to be a drive
+that does map 0x1013 for transmission.
 """
 
 from __future__ import annotations
@@ -35,7 +37,7 @@ import struct
 from epos2_ros.protocol import homing_methods
 from epos2_ros.protocol.family import Family, Field
 from epos2_ros.protocol.pdo import ASYNCHRONOUS, SYNCHRONOUS, PdoMapping
-from epos2_ros.protocol.sdo import SdoWrite
+from epos2_ros.protocol.sdo import SdoRead, SdoWrite
 
 VENDOR_ID = 0x000000FB
 DEVICE_PROFILE = 402
@@ -119,12 +121,7 @@ RPDO_MAPPINGS = (
 TPDO_MAPPINGS = (
     PdoMapping(1, TPDO1, ASYNCHRONOUS, ((STATUSWORD, 0), (INTERPOLATION_STATUS, 1))),
     PdoMapping(2, TPDO2, ASYNCHRONOUS, ((POSITION_ACTUAL, 0), (VELOCITY_ACTUAL, 0))),
-    PdoMapping(
-        3,
-        TPDO3,
-        SYNCHRONOUS,
-        ((HIGH_RESOLUTION_TIME_STAMP, 0), (STATUSWORD, 0), (CURRENT_ACTUAL, 0)),
-    ),
+    PdoMapping(3, TPDO3, SYNCHRONOUS, ((STATUSWORD, 0), (CURRENT_ACTUAL, 0))),
     PdoMapping(
         4,
         TPDO4,
@@ -182,16 +179,8 @@ class BufferStatus:
     }
 
 
-_FREE_RECORDS = struct.Struct("<BHBI")
-
-
-def free_records(sdo_answer: bytes) -> int | None:
-    """What an SDO answer says of 0x60C4-02; None if it is of anything else."""
-    if len(sdo_answer) != _FREE_RECORDS.size:
-        return None
-    command, index, subindex, free = _FREE_RECORDS.unpack(sdo_answer)
-    wanted = (0x43, INTERPOLATION_DATA_CONFIGURATION, ACTUAL_BUFFER_SUBINDEX)  # 4 bytes, expedited
-    return free if (command, index, subindex) == wanted else None
+FREE_RECORDS = SdoRead(INTERPOLATION_DATA_CONFIGURATION, ACTUAL_BUFFER_SUBINDEX, 4)
+CLOCK_AT_SYNC = SdoRead(HIGH_RESOLUTION_TIME_STAMP, 0, 4)  # the last one [µs]
 
 
 EMERGENCIES = {

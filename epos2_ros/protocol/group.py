@@ -20,7 +20,7 @@ The rules this file keeps:
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from concurrent.futures import Future
 from typing import NamedTuple
 
@@ -126,29 +126,31 @@ class Group:
                 self._on_nmt(*frame.data)
         elif drive := self._by_node.get(frame.can_id & 0x7F):
             if echo:
-                self._on_echo(drive, frame.can_id & 0x780, t_us)
+                self._on_echo(drive, frame, t_us)
             else:
                 self._on_frame(drive, frame, t_us)
         elif echo and frame.can_id == epos2.TIME:
             self.time.clock.reset(t_us)
 
-    def _on_echo(self, drive: Drive, function: int, t_us: float) -> None:
+    def _on_echo(self, drive: Drive, frame: Frame, t_us: float) -> None:
+        function = frame.can_id & 0x780
         if function == epos2.RPDO1:
             self._rest[drive].on_echo(drive, t_us)
         elif function == epos2.RPDO2:
             self._words.on_echo(drive.node_id)
         elif function == epos2.RPDO3:
             self.time.on_stamp(self._clocked[drive])
+        elif function == epos2.SDO_REQUEST and frame.data == epos2.CLOCK_AT_SYNC.request:
+            drive.asked_clock = True
+            if drive in self._clocked:
+                self.time.on_asked(t_us)
         elif function == epos2.SDO_REQUEST:
             drive.asked_us = t_us
 
     def _on_frame(self, drive: Drive, frame: Frame, t_us: float) -> None:
         function = frame.can_id & 0x780
         if frame.can_id in drive.pdo_bytes:
-            reported = drive.on_pdo(frame.can_id, frame.data, t_us)
-            self._off_path(drive, self._mode_of(drive).on_report(drive, reported, t_us))
-            if (epos2.HIGH_RESOLUTION_TIME_STAMP, 0) in reported:
-                self._on_clock(drive, t_us)
+            self._on_report(drive, drive.on_pdo(frame.can_id, frame.data, t_us), t_us)
         elif function == epos2.EMCY:
             if drive.on_emergency(frame.data):
                 self._trouble()
@@ -156,6 +158,7 @@ class Group:
             if self._watch.on_heartbeat(drive, frame.data):
                 self._trouble()
         elif function == epos2.SDO_ANSWER:
+            self._on_report(drive, drive.on_clock_answer(frame.data), t_us)
             self._off_path(drive, self._mode_of(drive).on_answer(drive, frame.data, t_us))
         else:
             return
@@ -173,9 +176,14 @@ class Group:
             else:
                 self._trouble()
 
-    def _on_clock(self, drive: Drive, t_us: float) -> None:
+    def _on_report(self, drive: Drive, reported: Set[tuple[int, int]], t_us: float) -> None:
+        """A drive has told these objects."""
+        if not reported:
+            return
+        self._off_path(drive, self._mode_of(drive).on_report(drive, reported, t_us))
         index = self._clocked.get(drive)
-        if index is not None and drive.latched is not None:
+        told = (epos2.HIGH_RESOLUTION_TIME_STAMP, 0) in reported
+        if told and index is not None and drive.latched is not None:
             self.time.on_answer(index, drive.latched, t_us)
 
     def _off_path(self, drive: Drive, wrong: str) -> None:
@@ -211,7 +219,7 @@ class Group:
         if starts:
             self.path_time.begin(t_us)
         for drive in self.drives:
-            drive.sync_us = t_us
+            drive.sync_us, drive.asked_clock = t_us, False
         self.time.on_sync(t_us, begins_path=starts)
         if starts:
             self.path_time.late_us = self.time.seen_late_us if self.time.produces else 0.0

@@ -32,6 +32,16 @@ class SdoRequest(NamedTuple):
     reads: tuple[SdoRead, ...] = ()
 
 
+class Poll(NamedTuple):
+    """A read from several drives at once, now or never: whose answer does not come, or who is busy
+    with another access for long, is not asked again. The answers are seen on the bus as any other
+    frame.
+    """
+
+    node_ids: tuple[int, ...]
+    read: SdoRead
+
+
 class _Asked(NamedTuple):
     """A request that was made."""
 
@@ -46,6 +56,7 @@ class Outbox:
 
     frames: deque[Frame] = field(default_factory=deque)
     requests: deque[SdoRequest] = field(default_factory=deque)
+    polls: deque[Poll] = field(default_factory=deque)
     events: deque[Event] = field(default_factory=deque)
     count: int = 0  # of requests so far
     half_written: set[int] = field(default_factory=set)  # node ids: not all got there

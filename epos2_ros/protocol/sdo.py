@@ -61,6 +61,11 @@ def describe_abort(code: int, joint: str, check: str = "") -> str:
     return f"{words} (0x{code:08X}); {advice}"
 
 
+def multiplexer(index: int, subindex: int) -> bytes:
+    """A sub-object, as SDO frames name it."""
+    return index.to_bytes(2, "little") + bytes([subindex])
+
+
 @dataclass(frozen=True)
 class SdoWrite:
     """Data for one sub-object, as it is on the bus (little-endian)."""
@@ -76,6 +81,12 @@ class SdoWrite:
         """An integer of `size` bytes; OverflowError when it does not fit."""
         return cls(index, subindex, value.to_bytes(size, "little", signed=signed))
 
+    @property
+    def request(self) -> bytes:
+        """The frame that writes it at once, where it has no more than four bytes."""
+        expedited = bytes([0x23 | (4 - len(self.data)) << 2])
+        return expedited + multiplexer(self.index, self.subindex) + self.data.ljust(4, b"\0")
+
 
 @dataclass(frozen=True)
 class SdoRead:
@@ -88,3 +99,14 @@ class SdoRead:
 
     def decode(self, data: bytes) -> int:
         return int.from_bytes(data[: self.size], "little", signed=self.signed)
+
+    @property
+    def request(self) -> bytes:
+        """The frame that asks for it."""
+        return b"\x40" + multiplexer(self.index, self.subindex) + bytes(4)
+
+    def answered(self, frame: bytes) -> int | None:
+        """The value in a frame that answers it at once; None if it is of anything else."""
+        expedited = bytes([0x43 | (4 - self.size) << 2])
+        wanted = expedited + multiplexer(self.index, self.subindex)
+        return self.decode(frame[4:]) if len(frame) == 8 and frame[:4] == wanted else None

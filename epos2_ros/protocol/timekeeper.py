@@ -1,5 +1,9 @@
 """TIME, SYNC, the time stamps that follow each SYNC, and the host's heartbeat.
 
+After a SYNC the drives are asked by SDO what their clocks were at it (0x1013): by the makers' EDS
+of 2011 and 2013 no PDO can carry it to the host. All are asked at once, at every SYNC where that is
+no more than READ_SHARE of the bus; at the others the clocks run on, uncorrected.
+
 One correction per SYNC and drive (application note, 2.4), and only for a drive that has answered
 the SYNC with its own clock: a stamp for a SYNC that it missed would move it by a whole period. A
 SYNC goes out when the stamps of the last one are seen on the bus, or a drive could take a stamp
@@ -21,20 +25,25 @@ from collections.abc import Sequence
 from statistics import fmean, median
 
 from epos2_ros.protocol import epos2
-from epos2_ros.protocol.clock import WINDOW, MasterClock
+from epos2_ros.protocol.clock import MAX_DRIFT, WINDOW, MasterClock
 from epos2_ros.protocol.drive import Drive
 from epos2_ros.protocol.frame import Frame
+from epos2_ros.protocol.outbox import Outbox, Poll
 from epos2_ros.protocol.pvt.path_audit import patience_syncs
 
 HEARTBEAT_PERIOD_US = 50_000.0  # of the host; the drives watch it for 0.5 s (0x1016)
 HOST_NODE_ID = 127
 OPERATIONAL = b"\x05"
 ANSWER_US = 500.0  # per axis, for its two synchronous TPDOs, before the next SYNC
+READ_BITS = 250  # to read a drive's clock: two SDO frames
+READ_SHARE = 0.05  # of the bus, for all drives
+EARLY_SHARE = 0.25  # of the period, by which it may be more: SYNCs come when they can
 FOLLOW_UP_US = 40_000.0  # the time stamps wait no longer for a drive's answer, …
 FOLLOW_UP_SHARE = 0.4  # … and no longer than this share of the period
 LEAD_US = 20_000.0  # before a SYNC at a given time: what is to be on the bus before it is sent
 ASTRAY_US = 1_000.0  # a clock so far from the others' is off …
 LATE_US = 5_000.0  # … unless it is, within this, what it was at one of the SYNCs before
+UNREAD_US = ASTRAY_US / MAX_DRIFT  # by now a clock may be so far off that is not read
 _LATE = "its answers to SYNC come late"
 _REMEMBERED = 8  # SYNCs
 MISSED_SYNCS = 5  # so many periods without the SYNC of a drive, …
@@ -42,7 +51,7 @@ SYNC_SILENCE_US = 1_000_000.0  # … and at least so long: it does not come any 
 
 
 class Timekeeper:
-    """Keeps the clocks of `drives` together; puts its frames into `outbox`. Times are host µs.
+    """Keeps the clocks of `drives` together; puts frames and polls into `out`. Times are host µs.
 
     `master`: the drive that is the clock master; None: the host. `producer`: the one that sends
     SYNC; None: the host. `answering`: how many drives answer a SYNC. `guarded`: those that watch
@@ -54,7 +63,8 @@ class Timekeeper:
         drives: Sequence[Drive],
         answering: int,
         period_us: float,
-        outbox: deque[Frame],
+        bitrate: int,
+        out: Outbox,
         master: Drive | None = None,
         producer: Drive | None = None,
         guarded: Sequence[Drive] = (),
@@ -64,11 +74,15 @@ class Timekeeper:
         self.period_us = period_us
         self.producer = producer
         master_index = None if master is None else self.drives.index(master)
-        self.clock = MasterClock(len(drives), period_us, master_index)
+        self._asked = [drive.node_id for drive in self.drives if drive is not master]
+        self._round_us = len(self._asked) * READ_BITS / READ_SHARE / bitrate * 1e6
+        self._round_due_us = -math.inf  # the next SYNC at which all are asked
+        corrected_us = period_us * max(1, math.ceil(self._round_us / period_us - EARLY_SHARE))
+        self.clock = MasterClock(len(drives), corrected_us, master_index)
         self.sync_count = 0
         self._master = master_index
         self._answering = answering
-        self._outbox = outbox
+        self._out = out
         self._last_sync_us = -math.inf
         self._handed_over_us = -math.inf  # when it was, if it is ours
         self._delays_us: deque[float] = deque(maxlen=WINDOW)  # from there until the host saw it
@@ -82,12 +96,15 @@ class Timekeeper:
         self._missed = [0] * len(drives)  # SYNCs in a row without an answer that can be of them
         self._stray = [""] * len(drives)  # what was wrong with the last answer that can't
         self._off_us = [0.0] * len(drives)  # of each clock, from the others' at the last SYNC
+        self._read_us = [-math.inf] * len(drives)  # the last SYNC whose clock each has told, …
+        self._unread_us = [0.0] * len(drives)  # … and how long before the last read that was
         self._forget()
 
     def _forget(self) -> None:
         """Nothing is on its way."""
         self._syncing = False  # a SYNC was handed over and is not yet seen on the bus
         self._unstamped_us = math.inf  # when the SYNC was that awaits its time stamps
+        self._asked_us = -math.inf  # when a drive was last asked for its clock at it
         self._latched: list[int | None] = [None] * len(self.drives)  # the answers to it
         self._ahead_us: dict[int, float] = {}  # how far each was from what the clock was to be
         self._slow: list[int] = []  # drives to be corrected half a period after the SYNC
@@ -107,9 +124,12 @@ class Timekeeper:
         self._forget()
         self._missed = [0] * len(self.drives)
         self._off_us = [0.0] * len(self.drives)
+        self._read_us = [now_us] * len(self.drives)
+        self._unread_us = [0.0] * len(self.drives)
         self._syncs_us.clear()
         self._delays_us.clear()
-        self._outbox.append(Frame(epos2.TIME, time_of_day))
+        self._round_due_us = now_us
+        self._out.frames.append(Frame(epos2.TIME, time_of_day))
         if self.produces:
             self._sync_due_us = now_us + self.period_us
         self._last_sync_us = now_us
@@ -118,15 +138,35 @@ class Timekeeper:
     # ------------------------------------------------------------------ what was on the bus
 
     def on_sync(self, t_us: float, begins_path: bool = False) -> None:
-        """A SYNC was on the bus; the drives now say what their clocks were."""
+        """A SYNC was on the bus; the drives are asked what their clocks were, if that is due."""
         self._forget()
         self.sync_count += 1
         self._delays_us.append(t_us - self._handed_over_us)
         self._syncs_us.appendleft(self._last_sync_us)
-        self._last_sync_us = self._unstamped_us = t_us
+        self._last_sync_us = t_us
         self._begins_path = begins_path
+        if self._reads_at(t_us):
+            self._unstamped_us = t_us
+            self._round_due_us = t_us + self._round_us
+            if self._asked:
+                self._out.polls.append(Poll(tuple(self._asked), epos2.CLOCK_AT_SYNC))
         if begins_path:
             self._path_sync_us, self.path_began_us = math.inf, None
+
+    def _reads_at(self, sync_us: float) -> bool:
+        """Whether the clocks are read at this SYNC.
+
+        At each while there is no line yet, where a path begins and before, and where a drive is
+        the clock master: it corrects the others at each.
+        """
+        about_us = self._path_sync_us - 2 * self.period_us
+        always = not self.clock.settled or self._begins_path or self._master is not None
+        early_us = EARLY_SHARE * self.period_us
+        return always or sync_us >= min(about_us, self._round_due_us - early_us)
+
+    def on_asked(self, t_us: float) -> None:
+        """The request to a drive for its clock was on the bus."""
+        self._asked_us = t_us
 
     def on_answer(self, drive: int, latched: int, now_us: float) -> None:
         """A drive has answered a SYNC with what its clock was then."""
@@ -142,10 +182,11 @@ class Timekeeper:
             self._stray[drive] = _LATE
             return
         self._ahead_us[drive] = ahead_us
-        if not self.clock.answers(ahead_us, self._unstamped_us):
+        if abs(ahead_us) > (self._unstamped_us - self._syncs_us[0]) / 2:
             self._stray[drive] = f"its clock is off by {ahead_us / 1000:+.1f} ms"
             return
         self._missed[drive], self._stray[drive] = 0, ""
+        self._read_us[drive] = self._unstamped_us
         self._latched[drive] = latched
         if None not in self._latched:
             self._follow_up(now_us)
@@ -165,9 +206,9 @@ class Timekeeper:
             slow, self._slow = self._slow, []
             self._correct(slow, now_us)
         if now_us >= self._heartbeat_due_us:
-            self._outbox.append(Frame(epos2.HEARTBEAT + HOST_NODE_ID, OPERATIONAL))
+            self._out.frames.append(Frame(epos2.HEARTBEAT + HOST_NODE_ID, OPERATIONAL))
             for node_id in self._guarded:
-                self._outbox.append(Frame(epos2.HEARTBEAT + node_id, remote=True))
+                self._out.frames.append(Frame(epos2.HEARTBEAT + node_id, remote=True))
             self._heartbeat_due_us = now_us + HEARTBEAT_PERIOD_US
         if may_sync and self.clear and now_us >= self._sync_due_us:
             self.sync(now_us)
@@ -219,16 +260,18 @@ class Timekeeper:
         return ANSWER_US * (axes + 1) + 2 * LEAD_US
 
     def astray(self, drive: int) -> bool:
-        """Whether a drive's clock is so far off that it can't be corrected."""
-        return self._missed[drive] >= self._patience
+        """Whether a drive's clock is so far off that it can't be corrected, or may be."""
+        return self._missed[drive] >= self._patience or self._unread_us[drive] > UNREAD_US
 
     def trouble(self, drive: int, in_motion: bool) -> str:
         """What is wrong with a drive's clock or its answers, or "".
 
         In motion a clock off by more than ASTRAY_US is: the axis is off its path with it.
         """
-        if self.astray(drive):
-            return self._stray[drive] or f"{self._missed[drive]} SYNCs in a row without its clock"
+        if self._missed[drive] >= self._patience:
+            return self._stray[drive]
+        if self._unread_us[drive] > UNREAD_US:
+            return f"its clock (0x1013) was not read for {self._unread_us[drive] / 1e6:.1f} s"
         off_us = max(self._off_us[drive], float(self.clock.offset_us[drive]), key=abs)
         if in_motion and abs(off_us) > ASTRAY_US:
             return f"its clock is off by {off_us / 1000:+.1f} ms"
@@ -248,7 +291,7 @@ class Timekeeper:
         self._syncing = True
         self._handed_over_us = now_us
         self._slow = []
-        self._outbox.append(Frame(epos2.SYNC))
+        self._out.frames.append(Frame(epos2.SYNC))
         self._sync_due_us += self.period_us
         if not now_us < self._sync_due_us <= now_us + self.period_us:
             self._sync_due_us = now_us + self.period_us
@@ -275,7 +318,7 @@ class Timekeeper:
         wait_us = min(FOLLOW_UP_US, FOLLOW_UP_SHARE * self.period_us)
         if all(value is None for value in self._latched):
             wait_us *= 2  # there is nobody to correct yet
-        return self._unstamped_us + wait_us
+        return max(self._unstamped_us, self._asked_us) + wait_us
 
     @property
     def _slow_due_us(self) -> float:
@@ -320,7 +363,8 @@ class Timekeeper:
             common_us = max(common_us, -self.seen_late_us)
             common_us = min(common_us, self._line_late_us)
         for drive, latched in enumerate(self._latched):
-            self._missed[drive] += latched is None
+            self._missed[drive] += latched is None and bool(self._stray[drive])
+            self._unread_us[drive] = self._last_sync_us - self._read_us[drive]
             self._off_us[drive] = self._ahead_us.get(drive, common_us) - common_us
 
     def _correct(self, drives: Sequence[int], now_us: float) -> None:
@@ -329,4 +373,4 @@ class Timekeeper:
         for drive in drives:
             stamp = self.clock.stamp(drive, now_us - self._last_sync_us)
             self._stamps[drive] = stamp
-            self._outbox.append(self.drives[drive].time_stamp(stamp))
+            self._out.frames.append(self.drives[drive].time_stamp(stamp))

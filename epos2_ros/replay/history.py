@@ -187,6 +187,8 @@ class History:
             self._begin(axis)
         elif not transfer.write and key == _FREE and transfer.data:
             axis.reported.append((t_s, float(BUFFER_SIZE - _unsigned(transfer.data))))
+        elif not transfer.write and key == _STAMP and transfer.data:
+            axis.latched = _unsigned(transfer.data)
 
     @staticmethod
     def _begin(axis: AxisHistory) -> None:

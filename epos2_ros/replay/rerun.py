@@ -156,7 +156,8 @@ class Rerun:
             frame = out.frames.popleft()
             if self._bus_works and not frame.remote:
                 self._expected.setdefault(frame.can_id, deque()).append((t_s, frame.data))
-        out.requests.clear()  # the log has the answers
+        out.requests.clear()  # the log has the answers, …
+        out.polls.clear()  # … and these are frames of it
         while out.events:
             event = out.events.popleft()
             if event.kind in EVENTS:

@@ -91,10 +91,9 @@ class Epos2(PositionOutputs):
     noise_qc:           standard deviation of the measured position while it moves
     switches:           of the machine, for homing
     record:             keep what is executed in `recorder`
-    dictionary:         its objects: the maker's, or the note's
+    dictionary:         its objects: the maker's, or the note's, where 0x1013 and 0x60C4-02 can be
+                        mapped into a TPDO
     first_record:       what it takes the first record of a path for
-    stamps_transmitted: 0x1013 can be mapped into a TPDO, as the note has it; the maker's EDS of
-                        2013 has it for reception only, its specification for both directions
     delays:             how long boot-up, enabling and the reset of a fault take
     frames_needed:      of others, before it has detected the bus's bit rate; 0: it is set
     """
@@ -122,13 +121,11 @@ class Epos2(PositionOutputs):
         t_us: float = 0.0,
         dictionary: Dictionary = Dictionary.MAKER,
         first_record: FirstRecord = FirstRecord.SEGMENT,
-        stamps_transmitted: bool = True,
         delays: Delays = REAL,
         frames_needed: int = 0,
     ) -> None:
         self._dictionary = dictionary
         self._first_record = first_record
-        self._stamps_transmitted = stamps_transmitted
         identity = Identity(
             device_type=0x0002_0192,
             vendor_id=vendor_id,
@@ -269,8 +266,6 @@ class Epos2(PositionOutputs):
                 entry.low, entry.high = row.low, row.high
             if (default := row.default_of(node)) is not None:
                 entry.preset(default)
-        if self._stamps_transmitted:
-            od[0x1013, 0].access = "rw"
         for index, subindex, value in (
             (0x2000, 0, node),
             (0x2003, 1, od[0x1018, 3].value >> 16),

@@ -99,11 +99,61 @@ def test_a_drive_that_stops_telling_them_in_motion_is_a_warning_said_once() -> N
     made = bench(*(Epos2(n, record=True) for n in (1, 2)))
     made.path.submit(there_and_back(4.0, joints=2), None, made.now_us)
     made.run(1.0)
-    made.bus.drop = lambda can_id, data, source: can_id == 0x582
+    of_the_buffer = bytes.fromhex("43C46002")
+    made.bus.drop = lambda can_id, data, source: can_id == 0x582 and data[:4] == of_the_buffer
     made.wait(made.group.motion)
     warnings = [event.text for event in made.events if event.kind == "warning"]
     assert warnings == ["joint_2 (node 2): does not answer"]
     assert made.group.phase is Phase.STANDING
+
+
+# --- the clocks ---------------------------------------------------------------------------------
+
+
+@BOTH
+def test_a_clock_that_goes_wrong_in_motion_is_a_fault(dictionary: Dictionary) -> None:
+    """Whether the dictionary lets a PDO carry the clock or not."""
+    made = bench(*(Epos2(n, dictionary=dictionary) for n in (1, 2, 3)))
+    made.path.submit(there_and_back(6.0, joints=3), None, made.now_us)
+    made.run(2.0)
+    made.drives[1]._on_timestamp(made.drives[1].clock.latched + 3_000)  # not the host's
+    with pytest.raises(MotionAborted, match=r"joint_2 \(node 2\): its clock is off by \+3.0 ms"):
+        made.wait(made.group.motion)
+    assert made.group.phase is Phase.FAULT
+
+
+def test_no_clock_is_sent_by_pdo_and_each_is_read_after_every_sync() -> None:
+    made = bench(*(Epos2(n) for n in (1, 2)))
+    made.frames.clear()
+    made.run(2.05)
+    syncs = [t for t, f, _ in made.frames if f.can_id == 0x080]
+    for node in (1, 2):
+        asked = [t for t, f, _ in made.frames if f.can_id == 0x600 + node]
+        assert len(asked) == len(syncs)
+        assert all(0 < t - sync < 5_000 for t, sync in zip(asked, syncs, strict=True))
+    assert {len(f.data) for _, f, _ in made.frames if f.can_id in (0x381, 0x382)} == {4}
+
+
+def test_a_clock_that_is_not_read_any_more_is_a_fault_before_it_can_be_far_off() -> None:
+    """500 ppm is more than any quartz: 1 ms in 2 s."""
+    made = bench(Epos2(1), Epos2(2))
+    made.path.submit(there_and_back(8.0, joints=2), None, made.now_us)
+    made.run(1.5)
+    last_us = made.now_us
+    made.bus.drop = lambda can_id, data, source: can_id == 0x582
+    with pytest.raises(MotionAborted, match=r"joint_2 .*: its clock \(0x1013\) was not read for 2"):
+        made.wait(made.group.motion)
+    assert 1.9e6 < made.now_us - last_us < 3e6
+
+
+def test_a_drive_that_can_t_send_its_clock_is_refused_as_clock_master() -> None:
+    made = Bench(DriverConfig(axes=axes(2), sync_source="joint_2"), [Epos2(1), Epos2(2)], False)
+    with pytest.raises(DriveError) as refusal:
+        made.bring_up()
+    assert str(refusal.value) == (
+        "joint_2 (node 2) can't be the clock master: it can't send its clock (0x1013 can't be "
+        "mapped into a TPDO, as by maxon's EDS of 2011 and later); set sync.source to host"
+    )
 
 
 # --- the first record ---------------------------------------------------------------------------
@@ -218,6 +268,6 @@ def test_velocities_are_finer_than_the_drives_steps(rpm: int) -> None:
 
 
 def test_free_records_are_read_from_the_answer_to_their_own_object_only() -> None:
-    assert epos2.free_records(bytes.fromhex("43C46002 3D000000".replace(" ", ""))) == 61
+    assert epos2.FREE_RECORDS.answered(bytes.fromhex("43C46002 3D000000")) == 61
     for other in ("43C46001 40000000", "4BC46002 40000000", "80C46002 00000206", "43C46002"):
-        assert epos2.free_records(bytes.fromhex(other.replace(" ", ""))) is None
+        assert epos2.FREE_RECORDS.answered(bytes.fromhex(other)) is None

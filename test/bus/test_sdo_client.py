@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import random
 import struct
+import threading
 import time
 from collections.abc import Callable
 
@@ -219,3 +220,47 @@ def test_the_time_for_setting_up_is_not_that_of_what_follows(monkeypatch):
     later = time.monotonic() + 3600.0
     monkeypatch.setattr("epos2_ros.bus.sdo_access.time.monotonic", lambda: later)
     assert bench.nodes[0]._access.objects.read(0x6041)
+
+
+# --- polls --------------------------------------------------------------------------------------
+
+
+CLOCK = bytes.fromhex("4013100000000000")
+
+
+def test_a_poll_leaves_out_who_is_busy_with_a_transfer() -> None:
+    """The second request would be answered in place of the first, or not at all."""
+    wire = Wire(right)
+    refused: list[bool] = []
+
+    def while_it_is_at_work(request: bytes, answer: bytes | None) -> list[bytes]:
+        other = threading.Thread(target=lambda: refused.append(wire.sdo.begin(CLOCK)))
+        other.start()
+        other.join()
+        return [] if answer is None else [answer]
+
+    wire.answers = while_it_is_at_work
+    wire.sdo.upload(0x6065, 0)
+    assert refused == [False]
+    assert len(wire.requests) == 1
+    wire.answers = right
+    assert wire.sdo.begin(CLOCK)
+    wire.sdo.end(0.05)
+    assert wire.requests[1:] == [CLOCK]
+
+
+def test_after_a_poll_without_an_answer_one_that_comes_late_is_taken_for_no_other() -> None:
+    wire = Wire(right)
+    late: list[bytes] = []
+
+    def in_the_next_turn(request: bytes, answer: bytes | None) -> list[bytes]:
+        before = list(late)
+        late[:] = [] if answer is None else [answer]
+        return before
+
+    wire.answers = in_the_next_turn
+    assert wire.sdo.begin(CLOCK)
+    wire.sdo.end(0.01)
+    wire.answers = lambda request, answer: in_the_next_turn(request, None) + right(request, answer)
+    assert wire.sdo.upload(0x6065, 0) == struct.pack("<I", 2000)
+    assert wire.requests[1][1:4] != CLOCK[1:4]  # what never changes, first

@@ -102,6 +102,7 @@ def assert_follows(
     tolerance_qc: float,
     start: Sequence[int] | None = None,
     max_segment_ms: int = 255,
+    unit_qc_s: float = RPM,
 ) -> None:
     k = np.arange(reference.end_ms + 1)
     wanted = reference.positions(k)
@@ -112,7 +113,7 @@ def assert_follows(
         assert (moving[-1].position, moving[-1].velocity) == (end.position, 0)
         assert all(1 <= record.time <= max_segment_ms for record in moving)
         assert all(type(x) is int for record in own for x in record)
-        position, _, _ = drive_executes(starts[axis], moving)
+        position, _, _ = drive_executes(starts[axis], moving, unit_qc_s)
         assert len(position) == len(wanted)
         assert np.abs(position - wanted[:, axis]).max() <= tolerance_qc + 1e-6
 
@@ -173,6 +174,31 @@ def test_no_limit_of_a_drive_is_exceeded(trajectory: Trajectory, share: float) -
         _, speed, acceleration = drive_executes(start, own[:-1])
         assert speed.max() <= fit.max_velocity_qc_s * (1 + 1e-9)
         assert acceleration.max() <= fit.max_acceleration_qc_s2 * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("unit", [RPM, RPM / 100])
+@pytest.mark.parametrize("least_rpm", [1.0, 2.0])
+@pytest.mark.parametrize("name", NAMES)
+def test_velocities_near_zero_can_be_avoided(name: str, least_rpm: float, unit: float) -> None:
+    """Within the same tolerance, for few records more."""
+    reference = commanded(name)
+    axes = len(first_positions(reference))
+    free = converted(reference, [FitAxis(unit)] * axes)
+    kept = converted(reference, [FitAxis(unit, least_velocity_qc_s=least_rpm * RPM)] * axes)
+    for records in kept:
+        speeds = [abs(record.velocity) * unit / RPM for record in records if record.velocity]
+        assert min(speeds) >= least_rpm - 1e-9
+    assert_follows(reference, kept, 1.0, unit_qc_s=unit)
+    assert sum(map(len, kept)) <= 1.15 * sum(map(len, free)) + 5
+
+
+def test_an_axis_that_creeps_follows_without_velocities_near_zero() -> None:
+    """At half a turn a minute, below what is avoided all along."""
+    creep = Positions(np.outer(np.linspace(0.0, 0.5 * RPM * 20, 20_001), [1.0, -1.0]))
+    axes = [FitAxis(RPM / 1000, least_velocity_qc_s=2 * RPM)] * 2
+    made = converted(creep, axes)
+    assert all(not r.velocity or abs(r.velocity) >= 2000 for records in made for r in records)
+    assert_follows(creep, made, 1.0, unit_qc_s=RPM / 1000)
 
 
 def test_what_no_drive_can_follow_is_refused() -> None:

@@ -121,8 +121,10 @@ def test_a_clock_far_off_is_a_fault_and_is_set_anew():
 # ---------------------------------------------------------------------------- frame by frame
 
 
-@pytest.mark.parametrize("count", [1, 6, 32])
-def test_one_stamp_for_each_drive_between_a_sync_and_the_next(count):
+@pytest.mark.parametrize(("count", "every"), [(1, 1), (6, 1), (32, 2)])
+def test_one_stamp_for_each_drive_between_a_sync_and_the_next(count, every):
+    """At every SYNC, or where reading the clocks would be more than a twentieth of the bus (250
+    bits a drive), at every second."""
     made = Bench(DriverConfig(axes=axes(count)), drives(count, record=False))
     made.enable()
     made.run(1.0)
@@ -137,8 +139,10 @@ def test_one_stamp_for_each_drive_between_a_sync_and_the_next(count):
         elif frame.can_id & 0x780 == STAMP:
             periods[-1].append(frame.can_id - STAMP)
     assert len(periods) > 20
-    for stamped in periods[:-1]:
-        assert sorted(stamped) == list(range(1, count + 1))
+    with_stamps = [n for n, stamped in enumerate(periods[:-1]) if stamped]
+    for number in with_stamps:
+        assert sorted(periods[number]) == list(range(1, count + 1))
+    assert set(np.diff(with_stamps)) == {every}
 
 
 def test_a_stamp_tells_when_the_sync_was():
@@ -188,7 +192,7 @@ def test_answers_that_come_late_are_not_taken_for_those_to_the_next_sync(delay_u
     made.enable()
     made.run(3.0)
     zero_us = clocks(made).mean() - made.now_us
-    made.bus.host_delay_us = lambda can_id, _: delay_us if can_id - 0x380 in nodes else 0.0
+    made.bus.host_delay_us = lambda can_id, _: delay_us if can_id - 0x580 in nodes else 0.0
     made.run(0.55)
     made.bus.host_delay_us = None
     made.run(0.3)
@@ -283,7 +287,9 @@ def test_a_motion_may_begin_at_any_moment_of_the_sync_period(nap_us):
         made.wait(made.group.motion)
         assert len({drive.ip_start_us for drive in made.drives}) == 1
     assert len(spread_us) > 1000
-    assert max(spread_us) <= 100  # two drives at ±100 ppm part so far in five periods
+    # Two drives at ±100 ppm part so far in five periods; a host that wakes up so late that a clock
+    # is not read before the next SYNC corrects less often.
+    assert max(spread_us) <= (100 if nap_us < 30e3 else 200)
 
 
 # ---------------------------------------------------------------------------- what is reported

@@ -38,7 +38,7 @@ def malformed(rng: random.Random) -> Frame:
     kind = rng.randrange(4)
     if kind == 0:
         can_id = rng.choice(REPORTS)
-        mapped = 4 if can_id & 0x780 == 0x180 else 8
+        mapped = 4 if can_id & 0x780 in (0x180, 0x380) else 8
         return Frame(can_id, rng.randbytes(rng.choice([n for n in range(8) if n != mapped])))
     if kind == 1:
         return Frame(0x080 + rng.choice(NODES), rng.randbytes(rng.randrange(8)))

@@ -139,13 +139,18 @@ def test_a_power_cycle_is_named_at_once(off_us):
     assert made.lost() == [1]
 
 
-@pytest.mark.parametrize("delay_us", [60e3, 100e3, 130e3])
-def test_late_answers_are_called_late(delay_us):
+def test_late_answers_are_called_late():
     made = moving(1.0)
-    late = {0x380 + 3, 0x480 + 3}
-    made.bus.host_delay_us = lambda can_id, _: delay_us if can_id in late else 0.0
+    made.bus.host_delay_us = lambda can_id, _: 60e3 if can_id == 0x580 + 3 else 0.0
     reason = reason_of(made)
     assert reason.startswith("joint_3 (node 3): its answers to SYNC come late, ")
+
+
+@pytest.mark.parametrize("delay_us", [60e3, 100e3, 230e3])
+def test_a_demand_that_is_heard_late_is_judged_by_its_own_sync(delay_us):
+    made = moving(1.0)
+    made.bus.host_delay_us = lambda can_id, _: delay_us if can_id == 0x480 + 3 else 0.0
+    made.wait(made.group.motion)
 
 
 @pytest.mark.parametrize("jump_us", [2e3, -3e3, 30e3, 49e3, 80e3])

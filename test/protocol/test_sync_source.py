@@ -102,7 +102,7 @@ def test_the_masters_clock_wraps(monkeypatch: pytest.MonkeyPatch):
     ahead_us = 2**32 - 3e6
     reset = MasterClock.reset
     monkeypatch.setattr(MasterClock, "reset", lambda self, t_us: reset(self, t_us - ahead_us))
-    group = drives(6, record=True)
+    group = drives(6, record=True, dictionary=Dictionary.NOTE)
     for drive in group:
 
         def on_time(drive=drive, set_to_zero=drive._on_time) -> None:
@@ -186,7 +186,8 @@ def test_a_start_at_a_given_time_is_on_the_nearest_sync(source):
 def test_feeding_goes_by_the_masters_clock():
     """Which gains 48 ms on the host's in two minutes: more than two records' worth of difference
     in the buffer would be taken for lost ones."""
-    drifting = [Epos2(n, drift_ppm=400.0, record=True) for n in (1, 2)]
+    note = Dictionary.NOTE
+    drifting = [Epos2(n, drift_ppm=400.0, record=True, dictionary=note) for n in (1, 2)]
     one = Bench(DriverConfig(axes=axes(2), sync_source="joint_1", buffer_time=0.1), drifting)
     one.enable()
     one.run(2.0)

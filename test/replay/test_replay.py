@@ -35,7 +35,7 @@ from epos2_ros.protocol.execution import Execution
 from epos2_ros.protocol.phase import Phase
 from epos2_ros.replay import program
 from epos2_ros.sim.copley import Copley
-from epos2_ros.sim.epos2 import Epos2
+from epos2_ros.sim.epos2 import Dictionary, Epos2
 
 QC_PER_RAD = 2000 * 100 / (2 * math.pi)
 AXES = 3
@@ -358,7 +358,9 @@ def test_whatever_was_asked_in_whatever_phase_is_run_again_the_same(seed, tmp_pa
     """REPLAY_RUNS=200 for a campaign."""
     rng = random.Random(seed)
     source = rng.choice(["host", "host", "joint_2"])
-    made = Recorded(tmp_path / "run.asc", few(AXES, sync_source=source))
+    dictionary = Dictionary.MAKER if source == "host" else Dictionary.NOTE
+    drives = [Epos2(n, drift_ppm=30.0 * n, dictionary=dictionary) for n in (1, 2, 3)]
+    made = Recorded(tmp_path / "run.asc", few(AXES, sync_source=source), drives)
     made.late_us = lambda: rng.choice([0.0, 300.0, 5_000.0, 60_000.0]) * rng.random()
     names = there_and_back().joint_names
 
@@ -467,7 +469,7 @@ def test_a_log_that_has_lost_its_beginning_is_entered_where_the_axes_stand(
     tmp_path, replay, monkeypatch
 ):
     monkeypatch.setattr(inputs, "STATE_US", 2e6)
-    made = Recorded(tmp_path / "run.asc", few(AXES, log_size=1.2))
+    made = Recorded(tmp_path / "run.asc", few(AXES, log_size=1.6))
     made.enable()
     made.run(3.0)  # so that the last part but one begins well before the last motion
     for _ in range(2):

@@ -7,7 +7,7 @@ from makers import Fact, facts
 from sim_host import Abort, Host
 
 from epos2_ros.sim.cia402 import Delays
-from epos2_ros.sim.epos2 import Epos2, FirstRecord
+from epos2_ros.sim.epos2 import Dictionary, Epos2, FirstRecord
 
 NODE = 5
 NO_OBJECT, NO_SUBINDEX, NOT_MAPPABLE = 0x06020000, 0x06090011, 0x06040041
@@ -35,7 +35,7 @@ def offered(fact: Fact) -> bool:
 
 def test_every_object_is_as_in_the_makers_table() -> None:
     """Software 2126h, the newest met: type, access, default, range and PDO mapping."""
-    simulated = dict(Epos2(NODE, stamps_transmitted=False).dictionary.items())
+    simulated = dict(Epos2(NODE).dictionary.items())
     checked = 0
     for fact in facts("epos2_70_10_2126.csv", NODE):
         entry = simulated.pop((fact.index, fact.subindex), None)
@@ -96,13 +96,13 @@ def test_free_records_can_t_be_mapped_but_buffer_clear_can(host: Host) -> None:
     host.write(0x1600, 1, 0x60C4_0608, 4)
 
 
-@pytest.mark.parametrize("transmits", [True, False])
-def test_time_stamp_in_a_tpdo(transmits: bool) -> None:
+@pytest.mark.parametrize("dictionary", list(Dictionary))
+def test_time_stamp_in_a_tpdo(dictionary: Dictionary) -> None:
     """The EDS of 2013 has 0x1013 for reception only, the note maps it into the master's TPDO."""
-    host = Host(Epos2(1, stamps_transmitted=transmits))
+    host = Host(Epos2(1, dictionary=dictionary))
     host.write(0x1802, 1, 0xC000_0381, 4)
     host.write(0x1A02, 0, 0, 1)
-    if transmits:
+    if dictionary is Dictionary.NOTE:
         host.write(0x1A02, 1, 0x1013_0020, 4)
     else:
         assert refused(host, 0x1A02, 1, 0x1013_0020, 4) == NOT_MAPPABLE

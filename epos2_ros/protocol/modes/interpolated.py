@@ -22,7 +22,7 @@ from epos2_ros.protocol.path_time import PathTime
 from epos2_ros.protocol.pvt.axis import PvtAxis
 from epos2_ros.protocol.pvt.buffer_reads import BufferReads
 from epos2_ros.protocol.pvt.feeder import Feeder
-from epos2_ros.protocol.sdo import SdoRead, SdoWrite
+from epos2_ros.protocol.sdo import SdoWrite
 
 END_TIMEOUT_MS = 500.0  # after the end record, for "ip mode inactive"
 EARLY_END_MS = 50.0  # before the end of its records an axis may be seen to have ended
@@ -169,12 +169,10 @@ class Interpolated(Mode):
 
     def _ask(self) -> None:
         """Let drives say how many records they still take, by SDO."""
-        read = SdoRead(epos2.INTERPOLATION_DATA_CONFIGURATION, epos2.ACTUAL_BUFFER_SUBINDEX, 4)
         while self._reads.outbox:
             index = self._reads.outbox.popleft()
-            self._out.ask(
-                self.axes[index].drive.node_id, reads=(read,), then=partial(self._asked, index)
-            )
+            node_id, then = self.axes[index].drive.node_id, partial(self._asked, index)
+            self._out.ask(node_id, reads=(epos2.FREE_RECORDS,), then=then)
 
     def _asked(self, index: int, values: Sequence[int], error: str) -> None:
         """The answer was seen on the bus, as any other frame; without one no motion starts."""
@@ -188,14 +186,15 @@ class Interpolated(Mode):
 
     def on_report(self, drive: Drive, reported: Set[tuple[int, int]], t_us: float) -> str:
         audit = self._axis_of[drive].audit
+        wrong = ""
         if _CLOCK in reported and drive.latched is not None:
-            audit.on_clock(drive.latched, t_us)
+            wrong = audit.on_clock(drive.latched, t_us)
         if _DEMAND in reported and drive.demand_qc is not None:
-            return audit.on_demand(drive.demand_qc, t_us)
-        return ""
+            wrong = wrong or audit.on_demand(drive.demand_qc, t_us)
+        return wrong
 
     def on_answer(self, drive: Drive, data: bytes, t_us: float) -> str:
-        free = epos2.free_records(data)
+        free = epos2.FREE_RECORDS.answered(data)
         if free is None:
             return ""
         asked_us = drive.asked_us

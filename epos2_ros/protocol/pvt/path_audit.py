@@ -1,10 +1,10 @@
 """Whether a drive executes what it was sent, looked at at every SYNC.
 
-The drive answers each SYNC twice: with what its motion clock was then (TPDO3), and with its
-position demand (TPDO4). Path time begins at the start SYNC and goes by the drive's own clock
-(application note, 2.4), so the first answer says to a microsecond where on the path the drive has
-to be, however late the host has seen the SYNC; and the records that were sent say what the demand
-is there, to a count. That a drive's clock is right is the timekeeper's to say, not looked at here.
+The drive answers each SYNC with its position demand (TPDO4), and says what its motion clock was
+then when it is asked (0x1013). Path time begins at the start SYNC and goes by the drive's own clock
+(application note, 2.4), so the clock says to a microsecond where on the path the drive has to be,
+however late the host has seen the SYNC; and the records that were sent say what the demand is
+there, to a count. That a drive's clock is right is the timekeeper's to say, not looked at here.
 
 How far off is wrong. The demand has to be that of a control cycle, a whole millisecond k of the
 path, within ROUNDING_QC and the tolerance of the records. Which cycle, no document says exactly:
@@ -14,10 +14,11 @@ sample, unknown but the same at every SYNC: at first anything up to MAX_DELAY_US
 what the answers so far leave of that. An axis can be off unnoticed by its velocity times what is
 left, at least one control cycle and 2 · JITTER_US, and by tolerance and rounding.
 
-Which SYNC an answer belongs to. TPDO3 says it itself, by the clock. TPDO4 doesn't: it is taken for
-the answer to the same SYNC where both came between the same two SYNCs, and not judged otherwise.
-Where one of the SYNCs before is without an answer, it might be that one, late; then the next is
-believed. So lost, late and repeated answers do no harm; too many in a row are told.
+Which SYNC an answer belongs to. A clock counts only when it was asked for after that SYNC. TPDO4
+doesn't say it: it is taken for the answer to the same SYNC where both came between the same two
+SYNCs, in whatever order; where the clock was not read, the demand is not judged. Where one of the
+SYNCs before is without an answer, it might be that one, late; then the next is believed. So lost,
+late and repeated answers do no harm; too many in a row are told.
 """
 
 from __future__ import annotations
@@ -76,11 +77,13 @@ class PathAudit:
         self._latched = 0  # the clock at the last SYNC that was answered, …
         self._path_us = 0.0  # … and path time then
         self._zeroed = False  # path time is known since the start SYNC
-        self._answers: dict[int, float | None] = {}  # path time at SYNCs without a demand yet
+        self._clocks_us: dict[int, float] = {}  # path time at SYNCs without a demand yet
+        self._demands_qc: dict[int, list[int]] = {}  # at SYNCs without path time yet
+        self._known_us: deque[float] = deque(maxlen=LATE_SYNCS + 1)  # at SYNCs, newest first
         self._least_us, self._most_us = -MAX_DELAY_US, MAX_DELAY_US  # the delay
         self._follows = False  # it was once where only a drive on its path can be
         self._open: deque[int] = deque()  # of the last SYNCs those without an answer that fits
-        self._suspect = -1  # the last whose answer did not fit
+        self._misfit: set[int] | None = None  # how many SYNCs late the last may be that didn't fit
         self._unanswered = 0
 
     def send(self, record: Record) -> None:
@@ -109,22 +112,20 @@ class PathAudit:
             self._open.popleft()
         if starts:
             self._start = number, t_us
-            self._answers.clear()
         elif self._start and not self._late_start_us:
             self._late_start_us = t_us - self._start[1]
         self._unanswered += 1
         if self._unanswered <= self._patience:
             return ""
-        return f"{self._patience} SYNCs in a row without its clock and position demand"
+        return f"{self._patience} SYNCs in a row without its position demand"
 
-    def on_clock(self, latched: int, t_us: float) -> None:
-        """What the drive's clock was at the SYNC that it answers (TPDO3)."""
+    def on_clock(self, latched: int, t_us: float) -> str:
+        """What the drive's clock was at a SYNC; what is wrong with its demand then, or ""."""
         number, sync_us = self._sync_before(t_us)
         passed_us = wrapped(latched - self._latched)
         self._latched = latched
         if self._start is None or number < self._start[0]:
-            self._answers[number] = None
-            return
+            return ""
         if number == self._start[0] and (passed_us > 0 or not self._zeroed):
             self._path_us, self._zeroed = 0.0, True
         elif not self._zeroed:
@@ -133,28 +134,46 @@ class PathAudit:
             self._least_us, self._most_us = -self._period_us / 2, self._period_us / 2
         else:
             self._path_us += passed_us
-        self._answers[number] = self._path_us
+        self._clocks_us[number] = self._path_us
+        self._known_us.appendleft(self._path_us)
+        return self._judge(number)
 
     def on_demand(self, demand_qc: int, t_us: float) -> str:
         """The position demand at a SYNC (TPDO4); what is wrong with it, or ""."""
         number, _ = self._sync_before(t_us)
-        if number not in self._answers:
+        if number < 0:
             return ""
-        path_us = self._answers.pop(number)
-        for older in [n for n in self._answers if n < number - _REMEMBERED]:
-            del self._answers[older]
-        if path_us is None or not self._cubics:
+        if self._start is None or number < self._start[0] or not self._cubics:
             off_qc = demand_qc - self._start_qc
             if abs(off_qc) <= self._allowed_qc:
                 self._answered(number)
                 return ""
             return f"its demand has moved by {off_qc} qc while it was to stand"
-        cycles = self._cycles(path_us, demand_qc, self._least_us, self._most_us)
-        if cycles is None:
+        self._unanswered = 0
+        self._demands_qc.setdefault(number, []).append(demand_qc)
+        return self._judge(number)
+
+    def _judge(self, number: int) -> str:
+        """Once both are known of a SYNC; what is wrong, or ""."""
+        if number not in self._clocks_us or number not in self._demands_qc:
+            return ""
+        path_us, demands_qc = self._clocks_us.pop(number), self._demands_qc.pop(number)
+        for known in (self._clocks_us, self._demands_qc):
+            for older in [n for n in known if n < number - _REMEMBERED]:
+                del known[older]
+        for demand_qc in demands_qc:
+            cycles = self._cycles(path_us, demand_qc, self._least_us, self._most_us)
+            if cycles is not None:
+                break
+        else:
             open_before = any(before < number for before in self._open)
-            late = self._follows and open_before and self._suspect != number - 1
-            self._suspect = number
-            return "" if late else self._complaint(path_us, demand_qc)
+            misfit, self._misfit = self._misfit, self._late_by(demand_qc)
+            if self._follows and open_before and misfit is None:
+                return ""
+            if self._misfit & (misfit or set()):
+                return "its answers to SYNC come late"
+            return self._complaint(path_us, demand_qc)
+        self._misfit = None
         self._answered(number)
         first, last = cycles
         self._least_us = max(self._least_us, 1000 * first - path_us - JITTER_US)
@@ -162,6 +181,14 @@ class PathAudit:
         self._follows = self._follows or not self._started_late(path_us, demand_qc)
         self._forget(int(path_us / 1000) - _KEPT_MS)
         return ""
+
+    def _late_by(self, demand_qc: int) -> set[int]:
+        """Of how many SYNCs before a demand may be that does not fit the last one."""
+        return {
+            syncs
+            for syncs, path_us in enumerate(self._known_us)
+            if syncs and self._cycles(path_us, demand_qc, self._least_us, self._most_us)
+        }
 
     def _answered(self, number: int) -> None:
         self._unanswered = 0
