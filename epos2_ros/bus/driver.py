@@ -28,7 +28,13 @@ from epos2_ros.bus.sdo_client import RemoteNode
 from epos2_ros.bus.sdo_jobs import perform
 from epos2_ros.bus.settings import machine_of
 from epos2_ros.bus.simulation import Simulation
-from epos2_ros.bus.snapshot import OutputSnapshot, Snapshot, axis_snapshots
+from epos2_ros.bus.snapshot import (
+    JointStates,
+    OutputSnapshot,
+    Snapshot,
+    axis_snapshots,
+    joint_states,
+)
 from epos2_ros.bus.supervisor import Supervisor
 from epos2_ros.bus.timestamps import now_us, wall_offset_us
 from epos2_ros.bus.tracking import Tracking, tracked
@@ -62,6 +68,7 @@ from epos2_ros.protocol.path import Placement, refuse_ended
 from epos2_ros.protocol.phase import Phase
 from epos2_ros.protocol.timekeeper import HOST_NODE_ID, Timekeeper
 from epos2_ros.protocol.trace import Trace
+from epos2_ros.protocol.whereabouts import Whereabouts
 
 T = TypeVar("T")
 
@@ -98,6 +105,7 @@ class Driver:
         self._stops = 0  # how often motions were ended on request, those not yet begun included
         self._machine = machine_of(config)
         self._group, self._path = self._machine.group, self._machine.path
+        self._whereabouts = Whereabouts(self._machine)
         self._worker = Worker(partial(self._supervisor.broke, "SDO"))
         self._poller = Poller(self._canopen_node, partial(self._supervisor.broke, "SDO"))
         self._announcer = ThreadPoolExecutor(1, thread_name_prefix="events")
@@ -338,9 +346,7 @@ class Driver:
 
     def track(self) -> Tracking:
         """What the axes that follow trajectories are to do, and do."""
-        return self._reactor.call(
-            lambda: tracked(self._machine, self._path.axes, now_us())
-        )
+        return self._reactor.call(lambda: tracked(self._machine, self._path.axes, now_us()))
 
     def move_to(self, targets: Mapping[str, float], duration_s: float = 0.0) -> None:
         """Axes in profile position mode to positions [unit], leaving and arriving together.
@@ -435,7 +441,17 @@ class Driver:
         """Everything the topics show."""
         return self._reactor.call(self._snapshot)
 
+    def joint_states(self) -> JointStates:
+        """Where the joints are now; those that are not heard any more are left out."""
+        return self._reactor.call(self._joint_states)
+
     # ------------------------------------------------------------------ inside
+
+    def _joint_states(self) -> JointStates:
+        now = now_us()
+        if self._link is None or self._link.failed:
+            return JointStates(now, [], [], [], [])
+        return joint_states(self._whereabouts, self._machine, now)
 
     def _snapshot(self) -> Snapshot:
         link = self._link

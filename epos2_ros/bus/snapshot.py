@@ -14,6 +14,7 @@ from epos2_ros.protocol.identity import Identity
 from epos2_ros.protocol.machine import Machine
 from epos2_ros.protocol.outputs.outputs import Tally
 from epos2_ros.protocol.phase import IN_MOTION
+from epos2_ros.protocol.whereabouts import Whereabouts
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,6 @@ class AxisSnapshot:
     position: float
     velocity: float
     effort: float  # motor current [A]
-    stamp_us: float  # host time of the position sample
     used: int
     free: int
     size: int
@@ -42,6 +42,16 @@ class AxisSnapshot:
     reserve_ms: float | None = None  # least time before an underflow, since the motion began
     silent_s: float = 0.0  # not heard for so long; 0 as long as it is heard
     identity: Identity | None = None  # None until the drive has been brought up
+
+
+class JointStates(NamedTuple):
+    """The joints that are heard, all at one instant; lists are by joint, in joint units."""
+
+    t_us: float  # host time
+    joints: list[str]
+    position: list[float]
+    velocity: list[float]
+    effort: list[float]  # motor current [A]; NaN: the drive does not say
 
 
 class OutputSnapshot(NamedTuple):
@@ -76,6 +86,21 @@ class Snapshot:
     internal_errors: int = 0
 
 
+def joint_states(whereabouts: Whereabouts, machine: Machine, now_us: float) -> JointStates:
+    """Where the axes are now; none as long as some have not said it since they were brought up."""
+    axes = whereabouts.at(now_us)
+    configs = [machine.config.axes[axis.place] for axis in axes]
+    units = [AxisUnits.of(config) for config in configs]
+    currents = [machine.drives[axis.place].current_ma for axis in axes]
+    return JointStates(
+        now_us,
+        [config.joint for config in configs],
+        [unit.from_qc(axis.position_qc) for unit, axis in zip(units, axes, strict=True)],
+        [unit.from_qc_s(axis.velocity_qc_s) for unit, axis in zip(units, axes, strict=True)],
+        [math.nan if current is None else current / 1000 for current in currents],
+    )
+
+
 def axis_snapshots(
     machine: Machine, now_us: float, deaf: bool, identities: Mapping[str, Identity]
 ) -> tuple[AxisSnapshot, ...]:
@@ -95,7 +120,6 @@ def axis_snapshots(
             position=units.from_qc(float(drive.position_qc or 0)) if known else nan,
             velocity=units.from_qc_s(drive.velocity_now_qc_s(inhibit_us)) if known else nan,
             effort=nan if drive.current_ma is None else drive.current_ma / 1000,
-            stamp_us=drive.measured_us(inhibit_us),
             used=0,
             free=0,
             size=0,

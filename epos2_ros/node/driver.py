@@ -16,7 +16,6 @@ from __future__ import annotations
 import argparse
 import functools
 import gc
-import math
 import signal
 import sys
 import threading
@@ -69,6 +68,7 @@ if TYPE_CHECKING:
 DIAGNOSTICS_PERIOD_S = 1.0
 EVENTS_KEPT = 1000  # of an output, for a subscriber that is slow: they come in bursts
 CLOCK_READINGS = 3
+SET_BACK_NS = 1_000_000_000  # a clock that is behind its last reading by more
 SIGNALS_S = 0.25  # between looks for signals
 SWITCH_INTERVAL_S = 0.0005  # how long a received frame waits for a computing thread; Python: 5 ms
 
@@ -125,6 +125,7 @@ class DriverNode(LifecycleNode):
         self._channel = ""
         self._clock_limits = ClockLimits()
         self._effort_told = False
+        self._state_ns = -SET_BACK_NS  # of the last joint states
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._topic_timers: list[rclpy.timer.Timer] = []
 
@@ -382,11 +383,13 @@ class DriverNode(LifecycleNode):
         if (driver := self._driver) is not None:
             if self._action is not None:
                 self._action.publish_state(driver)
-            heard = [axis for axis in driver.snapshot().axes if not axis.silent_s]
-            newest_us = max((axis.stamp_us for axis in heard), default=-math.inf)
-            if math.isfinite(newest_us):  # before the first sample there is no state
-                stamp = self._ros_time(newest_us)
-                self._joint_states.publish(messages.joint_state(heard, stamp))
+            states = driver.joint_states()
+            stamp_ns = self._ros_ns(states.t_us)
+            # Simulated time may stand still. What is set back further has been set.
+            repeated = 0 <= self._state_ns - stamp_ns < SET_BACK_NS
+            if states.joints and not repeated:
+                self._state_ns = stamp_ns
+                self._joint_states.publish(messages.joint_state(states, _time(stamp_ns)))
 
     def _publish_buffer_status(self) -> None:
         if (driver := self._driver) is not None:
@@ -405,8 +408,10 @@ class DriverNode(LifecycleNode):
 
     def _ros_time(self, host_us: float) -> Time:
         """Host time (monotonic [µs]) as ROS time."""
-        sec, nanosec = divmod(max(0, round(host_us * 1e3) + self._clock_offset_ns()), 10**9)
-        return Time(sec=sec, nanosec=nanosec)
+        return _time(self._ros_ns(host_us))
+
+    def _ros_ns(self, host_us: float) -> int:
+        return max(0, round(host_us * 1e3) + self._clock_offset_ns())
 
     def _host_us(self, stamp: Time) -> float:
         """ROS time as host time (monotonic [µs])."""
@@ -487,6 +492,11 @@ class DriverNode(LifecycleNode):
         if not self._active:
             raise Epos2RosError("the node is not active")
         return driver
+
+
+def _time(stamp_ns: int) -> Time:
+    sec, nanosec = divmod(stamp_ns, 10**9)
+    return Time(sec=sec, nanosec=nanosec)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -19,22 +19,19 @@ from epos2_ros.configuration.driver import ClockLimits
 from epos2_ros.protocol.epos2 import BufferStatus
 
 if TYPE_CHECKING:
-    from epos2_ros.bus.snapshot import AxisSnapshot, OutputSnapshot, Snapshot
+    from epos2_ros.bus.snapshot import AxisSnapshot, JointStates, OutputSnapshot, Snapshot
     from epos2_ros.protocol.outputs.outputs import OutputEvent
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 STALE = DiagnosticStatus.STALE
 
 
-def joint_state(axes: Iterable[AxisSnapshot], stamp: Time) -> JointState:
-    """Position [rad or m], velocity [per second] and motor current [A] of these axes."""
-    axes = list(axes)
-    message = JointState()
+def joint_state(states: JointStates, stamp: Time) -> JointState:
+    """Position [rad or m], velocity [per second] and motor current [A] of the joints."""
+    message = JointState(name=states.joints, effort=states.effort)
     message.header.stamp = stamp
-    message.name = [axis.joint for axis in axes]
-    message.position = [axis.position + 0.0 for axis in axes]
-    message.velocity = [axis.velocity + 0.0 for axis in axes]  # never -0.0
-    message.effort = [axis.effort for axis in axes]
+    message.position = [position + 0.0 for position in states.position]
+    message.velocity = [velocity + 0.0 for velocity in states.velocity]  # never -0.0
     return message
 
 

@@ -62,6 +62,8 @@ class Drive:
         self.current_ma: int | None = None
         self.demand_qc: int | None = None
         self.demand_us = -math.inf
+        self.demand_sync_us = -math.inf  # the SYNC that it belongs to
+        self.position_sync_us = -math.inf  # the SYNC that `position_qc` belongs to, if to one
         self.following_error_qc: int | None = None
         self.latched: int | None = None  # what its clock was at the last SYNC it answered [µs]
         self.emergency = 0
@@ -106,12 +108,14 @@ class Drive:
             self._event_us = t_us
         if "position_qc" in values:
             self.sample_us = self.sync_us if layout.synchronous else t_us
+            if layout.synchronous:
+                self.position_sync_us = self.sync_us
         if "velocity" in values:
             self._told_velocity = float(self.velocity)
             self.velocity = self._finer(self._told_velocity, before_qc, before_us)
         layout.read_us = t_us
         if "demand_qc" in values:
-            self.demand_us = t_us
+            self.demand_us, self.demand_sync_us = t_us, self.sync_us
         return layout.objects
 
     def on_clock_answer(self, data: bytes) -> frozenset[tuple[int, int]]:

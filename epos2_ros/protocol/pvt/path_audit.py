@@ -101,6 +101,22 @@ class PathAudit:
         self._ends_ms.append(self._committed_ms)
         self._knot = record
 
+    def demand(self, path_ms: float) -> tuple[float, float]:
+        """Position [qc] and velocity [qc/s] of the demand at a path time, also between cycles.
+
+        Before the start and after the last record it rests. A drive that is ahead of its path, or
+        behind it, by all its answers so far, is taken to be so by the least that explains them.
+        """
+        if self._follows:
+            path_ms += max(0.0, self._least_us + JITTER_US) / 1000
+            path_ms += min(0.0, self._most_us - JITTER_US) / 1000
+        index = bisect_left(self._ends_ms, path_ms)
+        if path_ms <= 0 or index == len(self._ends_ms):
+            return float(self._start_qc if path_ms <= 0 else self._knot.position), 0.0
+        t_s = (path_ms - self._ends_ms[index]) * 1e-3
+        a, b, c, d = self._cubics[index]
+        return ((a * t_s + b) * t_s + c) * t_s + d, (3 * a * t_s + 2 * b) * t_s + c
+
     # ------------------------------------------------------------------ what was on the bus
 
     def on_sync(self, t_us: float, starts: bool) -> str:
