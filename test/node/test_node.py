@@ -22,7 +22,7 @@ import rclpy
 import yaml
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
@@ -244,8 +244,11 @@ class World:
 
     @property
     def state(self) -> str:
-        answer = self.call(GetState, "/epos2_driver/get_state", GetState.Request())
-        return str(answer.current_state.label)
+        """Once no transition is in progress."""
+        while True:
+            answer = self.call(GetState, "/epos2_driver/get_state", GetState.Request())
+            if answer.current_state.id <= State.PRIMARY_STATE_FINALIZED:
+                return str(answer.current_state.label)
 
     def listen(self, kind: Any, topic: str) -> list[Any]:
         got: list[Any] = []
