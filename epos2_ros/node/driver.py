@@ -385,8 +385,8 @@ class DriverNode(LifecycleNode):
                 self._action.publish_state(driver)
             states = driver.joint_states()
             stamp_ns = self._ros_ns(states.t_us)
-            # Simulated time may stand still. What is set back further has been set.
-            repeated = 0 <= self._state_ns - stamp_ns < SET_BACK_NS
+            # Simulated time may stand still, be set back, or not have begun: zero is no time.
+            repeated = stamp_ns > 0 and 0 <= self._state_ns - stamp_ns < SET_BACK_NS
             if states.joints and not repeated:
                 self._state_ns = stamp_ns
                 self._joint_states.publish(messages.joint_state(states, _time(stamp_ns)))
