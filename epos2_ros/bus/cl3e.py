@@ -10,6 +10,7 @@ from epos2_ros.bus.cia402_node import Cia402Node
 from epos2_ros.bus.link import Network
 from epos2_ros.configuration.driver import AxisConfig
 from epos2_ros.errors import ConfigurationError, DriveError
+from epos2_ros.motion.trapezoid import MOST_JERK
 from epos2_ros.motion.units import UINT32_MAX, AxisUnits, position_limits
 from epos2_ros.protocol import cl3e, epos2
 
@@ -50,6 +51,7 @@ class Cl3eSettings:
             return max(1, math.ceil(abs(units.to_qc_s(value)) * headroom / rpm))
 
         whole("max_velocity", "/s")
+        whole("max_jerk", "/s³", MOST_JERK)
         return cls(
             axis.joint,
             axis.node_id,
@@ -111,7 +113,7 @@ class Cl3eNode:
     def _check_units(self) -> None:
         """rpm, rpm/s and the encoder's counts: what the drive's own objects have to say.
 
-        Older firmware has fractions (0x2061 … 0x2064), newer has 0x60A8 and 0x60A9 in their place.
+        Older firmware has fractions (0x2061 … 0x2066), newer has 0x60A8 and 0x60A9 in their place.
         READING: the position of older firmware is in increments of 0x608F where gear ratio and feed
         constant are 1; that of newer firmware in tenths of a degree.
         """
@@ -120,7 +122,7 @@ class Cl3eNode:
             name = f"{self._objects.name(index, 1)} / -02"
             self._expect(name, (read(index, 1), read(index, 2)), (1, 1))
         if self._objects.find(cl3e.UNIT_VELOCITY) is None:
-            for index in (cl3e.VELOCITY_UNIT, cl3e.ACCELERATION_UNIT):
+            for index in (cl3e.VELOCITY_UNIT, cl3e.ACCELERATION_UNIT, cl3e.JERK_UNIT):
                 name = f"{self._objects.name(index)} / 0x{index + 1:04X}"
                 self._expect(name, (read(index), read(index + 1)), cl3e.RPM_FRACTION)
             index = cl3e.ENCODER_RESOLUTION

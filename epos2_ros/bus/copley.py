@@ -9,6 +9,7 @@ from epos2_ros.bus.cia402_node import Cia402Node
 from epos2_ros.bus.link import Network
 from epos2_ros.configuration.driver import AxisConfig
 from epos2_ros.errors import ConfigurationError, DriveError
+from epos2_ros.motion.trapezoid import MOST_JERK
 from epos2_ros.motion.units import INT32_MAX, AxisUnits, position_limits
 from epos2_ros.protocol import copley, epos2
 
@@ -34,6 +35,7 @@ class CopleySettings:
             ("max_velocity", "/s", speed),
             ("max_acceleration", "/s²", acceleration),
             ("stop_deceleration", "/s²", acceleration),
+            ("max_jerk", "/s³", INT32_MAX * copley.JERK_UNIT_COUNTS_S3 / MOST_JERK),
         ):
             value, most = getattr(axis, parameter), abs(units.from_qc_s(limit))
             if value is not None and value > most:

@@ -43,6 +43,7 @@ class AxisConfig:
     max_position: float | None = None
     max_velocity: float | None = None
     max_acceleration: float | None = None
+    max_jerk: float | None = None  # of moves in profile position mode
     stop_deceleration: float | None = None
     max_following_error: int = 2000  # [qc], 0x6065
     homing: HomingConfig | None = None

@@ -227,6 +227,9 @@ AXIS: dict[str, Spec] = {
     "max_position": Spec(inf, "upper soft limit [rad or m]; inf: none"),
     "max_velocity": Spec(inf, "limit [rad/s or m/s]; inf: none", 1e-9),
     "max_acceleration": Spec(inf, "limit [rad/s² or m/s²]; inf: none", 1e-9),
+    "max_jerk": Spec(
+        inf, "limit of moves in profile position mode [rad/s³ or m/s³]; inf: none", 1e-9
+    ),
     "stop_deceleration": Spec(
         0.0, "of halt and quick stop (0x6084, 0x6085) [unit/s²]; 0: the drive's own", 0.0, 1e9
     ),
@@ -453,6 +456,7 @@ class DriverParameters:
             max_position=_finite(value("max_position")),
             max_velocity=_finite(value("max_velocity")),
             max_acceleration=_finite(value("max_acceleration")),
+            max_jerk=_finite(value("max_jerk")),
             stop_deceleration=value("stop_deceleration") or None,
             max_following_error=value("max_following_error"),
             homing=homing,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 from epos2_ros.configuration.driver import AxisConfig
@@ -79,4 +80,5 @@ def _move(axis: AxisConfig, standing_qc: int | None, target: float) -> Trapezoid
         units.to_qc(target),
         abs(units.to_qc_s(axis.max_velocity)),
         abs(units.to_qc_s(axis.max_acceleration)),
+        math.inf if axis.max_jerk is None else abs(units.to_qc_s(axis.max_jerk)),
     )

@@ -31,6 +31,7 @@ MODE_PROFILE_POSITION = 1
 SOFTWARE_VERSION = 0x100A
 VELOCITY_UNIT = 0x2061  # numerator, 0x2062 denominator: turns per second
 ACCELERATION_UNIT = 0x2063  # 0x2064: turns per second²
+JERK_UNIT = 0x2065  # 0x2066: turns per second³
 FOLLOWING_ERROR_OPTION = 0x3700
 QUICK_STOP_OPTION = 0x605A
 SUBMODE = 0x3202  # bit 0: closed loop
@@ -41,22 +42,27 @@ END_VELOCITY = 0x6082
 ENCODER_RESOLUTION = 0x608F  # -01 increments per -02 turns
 GEAR_RATIO = 0x6091
 FEED_CONSTANT = 0x6092
+PROFILE_JERK = 0x60A4
 UNIT_POSITION = 0x60A8
 UNIT_VELOCITY = 0x60A9
 MAX_DECELERATION = 0x60C6
 POSITIONING_OPTION = 0x60F2
 
 TENTH_DEGREES, RPM = 0xFF41_0000, 0x00B4_4700  # in 0x60A8 and 0x60A9, their presets
-RPM_FRACTION = (1, 60)  # in 0x2061 … 0x2064, their presets
+RPM_FRACTION = (1, 60)  # in 0x2061 … 0x2066, their presets
 STAY_IN_QUICK_STOP = 6  # brakes by 0x6085
 HALT_BY_QUICK_STOP_RAMP = 2
 FAULT_BY_QUICK_STOP_RAMP = 2
 NO_RELEASE = 0x0001  # bit 4 is the host's; relative moves count from the demand
 
 
-def motion_units(units: AxisUnits) -> tuple[float, float]:
-    """rpm and rpm/s of the motor: what the drive's units are preset to, and have to be."""
-    return units.counts_per_turn / 60, units.counts_per_turn / 60
+def motion_units(units: AxisUnits) -> tuple[float, float, float]:
+    """rpm, rpm/s and rpm/s² of the motor: what the drive's units are preset to, and have to be.
+
+    READING: newer firmware, which has no object for the unit of jerk, has it in rpm/s² as well.
+    """
+    rpm = units.counts_per_turn / 60
+    return rpm, rpm, rpm
 
 
 FAMILY = Family(
@@ -88,6 +94,7 @@ FAMILY = Family(
     },  # CiA 301, 7.2.7.1, and CiA 402
     rest_operation=MODE_PROFILE_POSITION,
     motion_units=motion_units,
+    jerk_objects=tuple((PROFILE_JERK, subindex) for subindex in range(1, 5)),
     home_objects=homing_methods.shifted_zero,
     homing_methods=homing_methods.STANDARD,
     has_clock=False,

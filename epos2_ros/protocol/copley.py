@@ -55,6 +55,8 @@ FAULTS = {
 
 VELOCITY_UNIT_COUNTS_S = 0.1
 ACCELERATION_UNIT_COUNTS_S2 = 10.0
+JERK_UNIT_COUNTS_S3 = 100.0
+PROFILE_JERK = 0x2121
 
 RPDO_MAPPINGS = (
     PdoMapping(2, epos2.RPDO2, SYNCHRONOUS, ((epos2.CONTROLWORD, 0),)),
@@ -83,7 +85,12 @@ FAMILY = Family(
     },
     emergencies=epos2.EMERGENCIES,
     rest_operation=MODE_PROFILE_POSITION,
-    motion_units=lambda units: (VELOCITY_UNIT_COUNTS_S, ACCELERATION_UNIT_COUNTS_S2),
+    motion_units=lambda units: (
+        VELOCITY_UNIT_COUNTS_S,
+        ACCELERATION_UNIT_COUNTS_S2,
+        JERK_UNIT_COUNTS_S3,
+    ),
+    jerk_objects=((PROFILE_JERK, 0),),
     home_objects=homing_methods.shifted_zero,
     homing_methods=homing_methods.COPLEY,
     has_clock=False,

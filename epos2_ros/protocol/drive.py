@@ -29,7 +29,8 @@ SYNC_ANSWER_AGE_US = 50_000.0  # an answer to SYNC may wait so long for its turn
 class DriveSetup:
     """What the group has to know of a drive before it says anything.
 
-    `velocity_unit`, `acceleration_unit`: of its motion objects [qc/s], [qc/s²].
+    `velocity_unit`, `acceleration_unit`, `jerk_unit`: of its motion objects [qc/s], [qc/s²],
+    [qc/s³].
     """
 
     joint: str
@@ -37,6 +38,7 @@ class DriveSetup:
     family: Family
     velocity_unit: float
     acceleration_unit: float
+    jerk_unit: float
     tpdos: tuple[PdoMapping, ...]
 
 
@@ -49,6 +51,7 @@ class Drive:
         self.family = setup.family
         self.velocity_unit = setup.velocity_unit
         self.acceleration_unit = setup.acceleration_unit
+        self.jerk_unit = setup.jerk_unit
         self.operation = setup.family.rest_operation  # 0x6060, as it was last set
         self.statusword = 0
         self.statusword_us = -math.inf

@@ -32,6 +32,7 @@ that does map 0x1013 for transmission.
 
 from __future__ import annotations
 
+import math
 import struct
 
 from epos2_ros.protocol import homing_methods
@@ -266,7 +267,7 @@ FAMILY = Family(
     },
     emergencies=EMERGENCIES,
     rest_operation=MODE_INTERPOLATED_POSITION,
-    motion_units=lambda units: (units.velocity_unit_qc_s, units.counts_per_turn / 60),
+    motion_units=lambda units: (units.velocity_unit_qc_s, units.counts_per_turn / 60, math.nan),
     home_objects=home_objects,
     homing_methods=homing_methods.EPOS2,
     has_clock=True,

@@ -37,11 +37,12 @@ class Family:
     fields: Mapping[tuple[int, int], Field]
     emergencies: Mapping[int, str]
     rest_operation: int
-    motion_units: Callable[[AxisUnits], tuple[float, float]]  # velocity, acceleration [qc/s, …/s²]
+    motion_units: Callable[[AxisUnits], tuple[float, float, float]]  # [qc/s], [qc/s²], [qc/s³]
     home_objects: Callable[[int, int], tuple[SdoWrite, ...]]  # of position and back-off [qc]
     homing_methods: Mapping[int, Method]  # 0x6098
     has_clock: bool  # high resolution time stamp (0x1013): it can be kept in step with the others
     backs_off: bool = False  # after homing, by `homing.back_off`
+    jerk_objects: tuple[tuple[int, int], ...] = ()  # that limit the jerk of a profile; none: ()
     life_guarding: bool = False  # it watches the host by 0x100C and 0x100D: it has no 0x1016
     pdos: int = 4  # each way
     referenced_bit: int = 0  # of the statusword: the axis is homed

@@ -196,7 +196,11 @@ def _search(axis: AxisConfig, drive: Drive) -> Search:
 
 def _setup(axis: AxisConfig, config: DriverConfig) -> DriveSetup:
     family, units = FAMILIES[axis.drive], AxisUnits.of(axis)
-    velocity_unit, acceleration_unit = family.motion_units(units)
+    if axis.max_jerk is not None and not family.jerk_objects:
+        raise ConfigurationError(
+            f"axes.{axis.joint}.max_jerk is {axis.max_jerk:g}; {family.maker}'s drives have no "
+            "limit of jerk in profile position mode: leave it out"
+        )
     is_master = axis.joint == config.sync_source
     tpdos = epos2.CLOCK_MASTER_TPDO_MAPPINGS if is_master else family.tpdos
-    return DriveSetup(axis.joint, axis.node_id, family, velocity_unit, acceleration_unit, tpdos)
+    return DriveSetup(axis.joint, axis.node_id, family, *family.motion_units(units), tpdos)

@@ -20,6 +20,7 @@ from collections.abc import Callable, Mapping
 from enum import Enum
 from functools import partial
 
+from . import ramps
 from .clock import MotionClock
 from .copley_compare import CompareModule, SoftwarePin, TraceMemory
 from .copley_homing import Homing
@@ -52,6 +53,7 @@ NUMBER_OF_OUTPUTS = 8
 TRACE_WORDS = 8192
 PROFILE_POSITION, HOMING, INTERPOLATED_POSITION = 1, 6, 7
 CUBIC = -2  # 0x60C0: PVT
+TRAPEZOIDAL, JERK_LIMITED = 0, 3  # of 0x6086
 SLOW_DOWN_ON_QUICK_STOP_RAMP = 2  # of 0x605D
 CANOPEN_MODE = 30  # of 0x2300
 FOLLOWING_ERROR, FOLLOWING_ERROR_BIT = 0x8611, 9
@@ -73,6 +75,7 @@ TPDOS = (
 
 VELOCITY_UNIT = 0.1e-3  # 0.1 counts/s [counts/ms]
 ACCELERATION_UNIT = 10e-6  # 10 counts/s² [counts/ms²]
+JERK_UNIT = 100e-9  # 100 counts/s³ [counts/ms³]
 OUTPUT_BYTES = DataType(10)
 
 Motion = Callable[[float], tuple[float, float]]
@@ -352,7 +355,10 @@ class Copley(Slave):
         self._acceleration = od.variable(0x6083, positive("Profile acceleration", value=100_000))
         self._deceleration = od.variable(0x6084, positive("Profile deceleration", value=100_000))
         self._quick_stop = od.variable(0x6085, positive("Quick stop deceleration", value=1_000_000))
-        od.variable(0x6086, mapped("Motion profile type", INTEGER16, low=0, high=0))
+        self._profile_type = od.variable(
+            0x6086, mapped("Motion profile type", INTEGER16, check=self._check_profile_type)
+        )
+        self._jerk = od.variable(0x2121, mapped("Profile target jerk", INTEGER32, low=0))
         od.variable(0x6502, Entry("Supported drive modes", UNSIGNED32, "ro", 1005))
         od.variable(0x60FF, mapped("Target velocity", INTEGER32))
         self._tracking_error = od.variable(
@@ -399,6 +405,11 @@ class Copley(Slave):
             0x60C0, mapped("Interpolation submode select", INTEGER16, low=CUBIC, high=0)
         )
         self._halt_option = od.variable(0x605D, mapped("Halt option code", INTEGER16, value=1))
+
+    @staticmethod
+    def _check_profile_type(value: int) -> None:
+        if value not in (TRAPEZOIDAL, JERK_LIMITED):
+            raise SdoAbort(AbortCode.VALUE_RANGE)
 
     @staticmethod
     def _check_mode(mode: int) -> None:
@@ -713,6 +724,9 @@ class Copley(Slave):
 
     def _go_to(self, target: int) -> None:
         position, velocity = self._demand(self.now_us)
+        if self._profile_type.value == JERK_LIMITED:
+            self._follow_profile(self._jerk_limited(position, velocity, target))
+            return
         self._follow_profile(
             trapezoid(
                 position,
@@ -723,6 +737,14 @@ class Copley(Slave):
                 self._deceleration.value * ACCELERATION_UNIT,
             )
         )
+
+    def _jerk_limited(self, position: float, velocity: float, target: int) -> Profile:
+        """READING: without a jerk there is no such profile, and no motion."""
+        rate = self._acceleration.value * ACCELERATION_UNIT
+        jerks = (max(1, self._jerk.value) * JERK_UNIT,) * 4
+        limits = ramps.Limits(self._speed.value * VELOCITY_UNIT, rate, rate, jerks)
+        state = ramps.State(position, velocity, 0.0)
+        return _Smooth(ramps.move(state, target if self._jerk.value else position, 0.0, limits)[0])
 
     def _decelerate(self, deceleration: Entry) -> None:
         position, velocity = self._demand(self.now_us)
@@ -819,6 +841,19 @@ class Copley(Slave):
         count = math.floor(end + self._offset)
         self.seen = (min(self.seen[0], count), max(self.seen[1], count))
         self.module.move(count, when_us)
+
+
+class _Smooth(Profile):
+    """One with limits of jerk."""
+
+    def __init__(self, ramp: ramps.Profile) -> None:
+        super().__init__(0.0, 0.0)
+        self._ramp = ramp
+        self.duration_ms = ramp.duration
+
+    def at(self, t_ms: float) -> tuple[float, float]:
+        state = self._ramp.at(t_ms)
+        return state.position, state.velocity
 
 
 class _WithTraceData(ObjectDictionary):

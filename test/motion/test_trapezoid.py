@@ -7,7 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from epos2_ros.motion.crossings import Path
 from epos2_ros.motion.trapezoid import Trapezoid, in_step
+from epos2_ros.sim import ramps
 
 
 def test_a_long_move() -> None:
@@ -54,3 +56,54 @@ def test_axes_arrive_together_and_none_is_faster_than_it_may_be(
         if move.end:
             assert move.duration_s == pytest.approx(longest)
             assert np.diff(move.path(0.0).t_us).min() >= 0
+
+
+MOVES = st.tuples(
+    st.floats(-1e6, 1e6).filter(lambda way: abs(way) >= 1.0),
+    st.floats(1e2, 1e6),
+    st.floats(1e3, 1e7),
+    st.floats(1e4, 1e10),
+)
+
+
+def hermite(path: Path, t_s: float) -> float:
+    """The cubic with the positions and velocities of the knots beside `t_s`."""
+    knots_s = path.t_us * 1e-6
+    n = min(max(int(np.searchsorted(knots_s, t_s)) - 1, 0), len(knots_s) - 2)
+    h = knots_s[n + 1] - knots_s[n]
+    u = (t_s - knots_s[n]) / h
+    (p, q), (v, w) = path.position_qc[n : n + 2], path.velocity_qc_s[n : n + 2] * h
+    return float(
+        (1 + 2 * u) * (1 - u) ** 2 * p
+        + u * (1 - u) ** 2 * v
+        + u**2 * ((3 - 2 * u) * q + (u - 1) * w)
+    )
+
+
+@given(MOVES, st.floats(0.0, 1.0))
+def test_with_a_limit_of_jerk_it_is_the_profile_that_integrating_the_jerk_gives(
+    move: tuple[float, float, float, float], share: float
+) -> None:
+    """Against the simulated drives' profiles, which add up phases of constant jerk."""
+    way, v, a, j = move
+    made = Trapezoid(0.0, way, v, a, j)
+    drive, _ = ramps.move(ramps.State(0.0, 0.0, 0.0), way, 0.0, ramps.Limits(v, a, a, (j,) * 4))
+    assert made.duration_s == pytest.approx(drive.duration, rel=1e-9)
+    path, t_s = made.path(0.0), share * drive.duration
+    assert hermite(path, t_s) == pytest.approx(drive.at(t_s).position, abs=1e-6 * abs(way))
+
+
+@given(MOVES, st.floats(1.0, 3.0))
+def test_in_whole_units_it_lasts_as_long_and_jerks_hardly_more(
+    move: tuple[float, float, float, float], longer: float
+) -> None:
+    """In rpm, rpm/s and rpm/s² of a motor of 2000 counts a turn: to 1 ms, where these are small."""
+    way, v, a, j = move
+    rpm = 2000 / 60
+    alone = Trapezoid(0.0, float(round(way)), v, a, j)
+    wanted = alone.lasting(longer * alone.duration_s)
+    made = wanted.in_units(rpm, rpm, rpm)
+    assert made.jerk <= max(1.25 * wanted.jerk, rpm) + rpm
+    assert made.peak <= 1.005 * wanted.velocity + 2 * rpm
+    if min(wanted.peak, wanted.acceleration, wanted.jerk) > 300 * rpm:
+        assert made.duration_s == pytest.approx(wanted.duration_s, abs=1e-3)

@@ -386,6 +386,49 @@ def test_axes_of_all_families_leave_on_one_sync_and_arrive_within_a_millisecond(
     bench.wait(bench.group.motion)
 
 
+JERK = 40.0  # [rad/s³]
+
+
+@pytest.mark.parametrize("duration_s", [0.0, 1.2])
+@pytest.mark.parametrize(("reach", "fastest_s"), [(1.0, 0.95), (0.01, 0.2)])
+def test_axes_with_limits_of_jerk_arrive_with_those_without(reach, fastest_s, duration_s):
+    """At 40 rad/s³ the acceleration of 8 rad/s² takes 0.2 s, the velocity of 2 rad/s 0.45 s and
+    1 rad 0.95 s. 0.01 rad takes 4 ∛(0.01 / 2 / 40) = 0.2 s and never all of the acceleration."""
+    made = (
+        AxisConfig(
+            f"z_{n}", n, drive=drive, counts_per_turn=2000, gear_ratio=100.0, **LIMITS,
+            max_jerk=JERK if n > 1 else None,
+        )
+        for n, drive in ((1, "epos2"), (2, "copley"), (3, "cl3e"))
+    )  # fmt: skip
+    drives = [Epos2(1, record=True), Copley(2), Cl3e(3, boot_ms=0.0)]
+    bench = Bench(DriverConfig(axes=tuple(made)), drives)
+    bench.enable()
+    motion = bench.machine.move_to({"z_1": -reach / 5, "z_2": reach, "z_3": -reach}, duration_s)
+    bench.run(1.0, lambda: bench.group.phase is Phase.MOVING)
+    start_us = bench.machine.path_time.start_us
+    bench.wait(motion)
+    lasted_s = max(fastest_s, duration_s)
+    arrived = [(drive.arrived_us - start_us) / 1e6 for drive in drives[1:]]
+    assert arrived == pytest.approx([lasted_s] * 2, abs=2e-3)
+    there = [drive.position_actual for drive in drives[1:]]
+    assert there == [round(reach * QC_PER_RAD), round(-reach * QC_PER_RAD)]
+    assert read(drives[1], 0x6086) == read(drives[2], 0x6086) == 3
+    jerks = [int.from_bytes(drives[2].dictionary[0x60A4, n].pack(), "little") for n in range(1, 5)]
+    scale = (fastest_s / lasted_s) ** 3
+    assert read(drives[1], 0x2121) * 100 == pytest.approx(JERK * QC_PER_RAD * scale, rel=0.25)
+    assert len(set(jerks)) == 1
+    assert jerks[0] * 2000 / 60 == pytest.approx(JERK * QC_PER_RAD * scale, rel=0.25)
+
+
+def test_a_limit_of_jerk_that_a_family_does_not_have_is_refused():
+    axis = AxisConfig("x", 1, max_jerk=5.0)
+    with pytest.raises(
+        ConfigurationError, match=r"axes\.x\.max_jerk is 5; maxon's drives have no limit of jerk"
+    ):
+        machine_of(DriverConfig(axes=(axis,)))
+
+
 def test_what_a_move_changes_for_interpolated_position_mode_is_as_before():
     """0x6081 and 0x6083 are its warnings, 0x6084 is its halt (the note, table 4)."""
     bench = made_bench(None, None, stop_deceleration=5.0)

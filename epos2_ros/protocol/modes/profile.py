@@ -27,7 +27,7 @@ NEW_SETPOINT = 0x0010
 CHANGE_IMMEDIATELY = 0x0020
 SETPOINT_ACKNOWLEDGED = 0x1000
 
-TRAPEZOIDAL = 0  # motion profile type
+TRAPEZOIDAL, JERK_LIMITED = 0, 3  # motion profile type
 ARRIVAL_MARGIN_MS = 1_000.0  # after a move should be over
 
 
@@ -52,7 +52,7 @@ class Profile(Mode):
     def plan(self, moves: Mapping[Drive, Trapezoid]) -> None:
         """What `begin` begins; a drive whose move goes nowhere takes no part."""
         made = {
-            drive: move.in_units(drive.velocity_unit, drive.acceleration_unit)
+            drive: move.in_units(drive.velocity_unit, drive.acceleration_unit, drive.jerk_unit)
             for drive, move in moves.items()
         }
         self._planned = {drive: move for drive, move in made.items() if move.start != move.end}
@@ -132,15 +132,24 @@ _SHARED = (
 
 
 def setpoint(drive: Drive, move: Trapezoid) -> list[SdoWrite]:
-    """Target, velocity and accelerations of a move that is in whole units of the drive."""
+    """What a move needs that is in whole units of the drive.
+
+    READING: the deceleration is written beside a limit of jerk as well, though some of Copley's
+    texts say that the acceleration then counts for both.
+    """
     velocity = round(move.velocity / drive.velocity_unit)
     acceleration = round(move.acceleration / drive.acceleration_unit)
+    profile, jerks = TRAPEZOIDAL, []
+    if move.jerk < math.inf:
+        profile, jerk = JERK_LIMITED, round(move.jerk / drive.jerk_unit)
+        jerks = [SdoWrite.integer(*place, jerk, 4) for place in drive.family.jerk_objects]
     return [
-        SdoWrite.integer(epos2.MOTION_PROFILE_TYPE, 0, TRAPEZOIDAL, 2),
+        SdoWrite.integer(epos2.MOTION_PROFILE_TYPE, 0, profile, 2),
         SdoWrite.integer(epos2.TARGET_POSITION, 0, round(move.end), 4, signed=True),
         SdoWrite.integer(epos2.PROFILE_VELOCITY, 0, velocity, 4),
         SdoWrite.integer(epos2.PROFILE_ACCELERATION, 0, acceleration, 4),
         SdoWrite.integer(epos2.PROFILE_DECELERATION, 0, acceleration, 4),
+        *jerks,
     ]
 
 
