@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -105,9 +106,11 @@ def test_extrapolation_is_measured_and_warned_of(tmp_path, capsys):
     status, out, _ = run(capsys, move(tmp_path, 0.05), "--params", params, "--start", "0")
     assert status == 0
     (row,) = [line.split() for line in out.splitlines() if line.startswith("laser on z")]
-    assert row[-1] == "6.2"
+    assert float(row[-1]) == pytest.approx(6.25, abs=0.051)  # one digit behind the point
     notes = [line for line in out.splitlines() if line.startswith("compare.laser: ")]
-    assert any("up to 6.2 counts" in n and "more than the 4 counts between" in n for n in notes)
+    assert any(
+        re.search(r"up to 6\.[23] counts.*more than the 4 counts between", note) for note in notes
+    )
     assert any("may fire twice" in note for note in notes)
     remedies = "cross at constant velocity, let the output fire in one direction only, or use a"
     assert all(remedies in note for note in notes if "extrapolated" in note)
