@@ -210,7 +210,11 @@ class Driver:
             if self._closing:
                 raise BusError("the bus is being closed")
             self._worker.run(partial(self._bring_up_drive, drive))
-        self._reactor.call(lambda: self._group.start_clock(now_us(), time_of_day(time.time())))
+        assert self._link is not None
+        echoes = self._link.echoes
+        self._reactor.call(
+            lambda: self._group.start_clock(now_us(), time_of_day(time.time()), echoes)
+        )
         self._produce_sync(round(self._config.sync_period * 1e6))
         self._refuse_another_host()
         self._brought_up = True

@@ -153,6 +153,11 @@ class Link:
         return self._transmitter.refused
 
     @property
+    def echoes(self) -> bool:
+        """Whether the adapter gives our own frames back."""
+        return self._transmitter.echoes
+
+    @property
     def time_source(self) -> str:
         """Where the time of a SYNC comes from."""
         return ("echo, " if self._transmitter.echoes else "no echo, ") + self.clock.source

@@ -196,7 +196,7 @@ class Repeater:
             now_us = (data or {}).get("now_us", t_us)
             self._machine.advance(now_us)
         elif name == "start_clock":
-            group.start_clock(data[0], bytes.fromhex(data[1]))
+            group.start_clock(data[0], bytes.fromhex(data[1]), *data[2:])
         elif name == "reconfigured":
             index, *rest = data
             group.reconfigured(self._machine.drives[index], *rest)

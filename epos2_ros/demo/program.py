@@ -214,6 +214,7 @@ class Machine:
             "--counts-per-turn": str(counts.pop()),
             "--drift-ppm": str(self.parameters.get("simulation.drift_ppm", 0.0)),
             "--seed": str(self.parameters.get("simulation.seed", 0)),
+            "--dictionary": str(self.parameters.get("simulation.dictionary", "maker")),
             "--log": str(self.log),
         }
         if copley:

@@ -222,7 +222,8 @@ class Group:
             drive.sync_us, drive.asked_clock = t_us, False
         self.time.on_sync(t_us, begins_path=starts)
         if starts:
-            self.path_time.late_us = self.time.seen_late_us if self.time.produces else 0.0
+            late_us = self.time.seen_late_us
+            self.path_time.late_us = late_us if math.isfinite(late_us) else 0.0
         for drive in self.drives:
             begins = starts and drive in self._taking_part
             self._off_path(drive, self._mode_of(drive).on_sync(drive, t_us, begins))
@@ -232,12 +233,12 @@ class Group:
 
     # ------------------------------------------------------------------ requests
 
-    def start_clock(self, now_us: float, time_of_day: bytes) -> None:
+    def start_clock(self, now_us: float, time_of_day: bytes, echoes: bool = True) -> None:
         """Begin with TIME (which sets every drive's motion clock to zero), SYNC and heartbeat.
 
         Call it when all drives are brought up; from now on they are watched.
         """
-        self.time.start(now_us, time_of_day)
+        self.time.start(now_us, time_of_day, echoes)
         for drive in self.drives:
             self._watch.heard(drive, now_us)
         self.advance(now_us)

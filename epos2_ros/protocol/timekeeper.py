@@ -98,6 +98,7 @@ class Timekeeper:
         self._off_us = [0.0] * len(drives)  # of each clock, from the others' at the last SYNC
         self._read_us = [-math.inf] * len(drives)  # the last SYNC whose clock each has told, …
         self._unread_us = [0.0] * len(drives)  # … and how long before the last read that was
+        self._sees_syncs = self.produces
         self._forget()
 
     def _forget(self) -> None:
@@ -119,9 +120,13 @@ class Timekeeper:
     def running(self) -> bool:
         return self._heartbeat_due_us < math.inf
 
-    def start(self, now_us: float, time_of_day: bytes) -> None:
-        """TIME sets every drive's motion clock to zero; SYNC and heartbeat begin."""
+    def start(self, now_us: float, time_of_day: bytes, echoes: bool = True) -> None:
+        """TIME sets every drive's motion clock to zero; SYNC and heartbeat begin.
+
+        `echoes`: the adapter gives our own frames back, so that their times are known.
+        """
         self._forget()
+        self._sees_syncs = self.produces and echoes
         self._missed = [0] * len(self.drives)
         self._off_us = [0.0] * len(self.drives)
         self._read_us = [now_us] * len(self.drives)
@@ -240,9 +245,10 @@ class Timekeeper:
         """By how much the host may have seen the last SYNC too late.
 
         None of ours was on the bus before it was handed over: what it took longer than others from
-        there until it was seen. Of a drive's nothing is known.
+        there until it was seen. Of a drive's nothing is known, nor of one of ours where the adapter
+        does not give frames back: then `on_sync` gets when it should have been.
         """
-        return self._delays_us[-1] - min(self._delays_us) if self.produces else math.inf
+        return self._delays_us[-1] - min(self._delays_us) if self._sees_syncs else math.inf
 
     @property
     def _line_late_us(self) -> float:
@@ -250,7 +256,7 @@ class Timekeeper:
 
         Of a line of least squares through n points each moves it by 4/n of its own at most.
         """
-        if not self.produces:
+        if not self._sees_syncs:
             return math.inf
         return 4 * (fmean(self._delays_us) - min(self._delays_us))
 
