@@ -334,7 +334,7 @@ class Cl3e(Slave):
         """Parameters up to this index, as they are now, are there after power-on."""
         for (index, _), entry in self.dictionary.items():
             if index <= last and entry.access in ("rw", "rww", "rwr"):
-                entry.stored = entry.value
+                entry.keep()
 
     def _load(self, signature: int) -> None:
         """After the next reset all parameters are as they left the factory."""

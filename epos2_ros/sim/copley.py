@@ -20,7 +20,7 @@ from collections.abc import Callable, Mapping
 from enum import Enum
 from functools import partial
 
-from . import ramps
+from . import copley_objects, ramps
 from .clock import MotionClock
 from .copley_compare import CompareModule, SoftwarePin, TraceMemory
 from .copley_homing import Homing
@@ -378,9 +378,9 @@ class Copley(Slave):
         self._homing.build(od)
         for index, values in self._factors.items():
             od.record(index, *(Entry("Factor", UNSIGNED32, value=value) for value in values))
-        self._keep_makers_objects()
         self._build_outputs()
         self._build_storing()
+        self._take_makers_objects()
 
     def _build_interpolation(self) -> None:
         od, pvt = self.dictionary, self.pvt
@@ -420,10 +420,24 @@ class Copley(Slave):
         self._leave_path(self._deceleration)
         self._homing.reset()
 
-    def _keep_makers_objects(self) -> None:
-        """What other drives have is not there: 0x1012 and 0x1016; and its PDOs from the factory."""
+    def _take_makers_objects(self) -> None:
+        """Its objects, and its PDOs from the factory; what nothing here reads just keeps its value.
+
+        No others but those of the note and of newer firmware.
+        """
         od, node = self.dictionary, self.node_id
-        od.keep({key for key, _ in od.items() if key[0] not in (0x1012, 0x1016)})
+        rows = {(row.index, row.subindex): row for row in copley_objects.rows()}
+        besides = {*range(0x1400, 0x1C00), *range(0x2160, 0x2166), *self._factors}
+        od.keep({key for key, _ in od.items() if key in rows or key[0] in besides})
+        for (index, subindex), row in rows.items():
+            if (index, subindex) not in od:
+                od.variable(index, Entry(row.name, row.type), subindex)
+            entry = od[index, subindex]
+            entry.name, entry.access, entry.mappable = row.name, row.access, row.mappable
+            if row.low is not None:
+                entry.low, entry.high = row.low, row.high
+            if (default := row.default_of(node)) is not None:
+                entry.preset(default)
         for number, pdo in enumerate((*self.rpdos, *self.tpdos)):
             pdo.types = range(256)
             kinds, place = (RPDOS, number) if number < PDOS.number else (TPDOS, number - 8)
@@ -467,7 +481,7 @@ class Copley(Slave):
         """Parameters of these objects, as they are now, are there after power-on."""
         for (index, _), entry in self.dictionary.items():
             if first <= index <= last and entry.access == "rw":
-                entry.stored = entry.value
+                entry.keep()
 
     def _build_outputs(self) -> None:
         od, module, trace = self.dictionary, self.module, self.trace
@@ -723,6 +737,8 @@ class Copley(Slave):
             self._go_to(target)
 
     def _go_to(self, target: int) -> None:
+        if not self._speed.value:
+            return  # READING: with a profile velocity of 0, the EDS' default, no move begins
         position, velocity = self._demand(self.now_us)
         if self._profile_type.value == JERK_LIMITED:
             self._follow_profile(self._jerk_limited(position, velocity, target))

@@ -82,6 +82,8 @@ UNSIGNED16 = DataType(2)
 UNSIGNED32 = DataType(4)
 UNSIGNED64 = DataType(8)
 VISIBLE_STRING = DataType(0)
+OCTET_STRING = DataType(0)
+LONGEST_TEXT = 255  # bytes that an object of either takes
 
 
 @dataclass(slots=True)
@@ -107,23 +109,33 @@ class Entry:
     write: Callable[[int], None] | None = None
     fast: bool = False
     event: Callable[[], int] | None = None
-    text: bytes = b""  # of a VISIBLE_STRING
+    text: bytes = b""  # the value of one without a size
     default: int = field(init=False)  # as it left the factory
     stored: int = field(init=False)  # what it has after power-on
+    stored_text: bytes = field(init=False)
 
     def __post_init__(self) -> None:
+        self.stored_text = self.text
         self.preset(self.value)
 
     def preset(self, value: int) -> None:
         """The value the device left the factory with, and has now."""
         self.value = self.stored = self.default = value
 
+    def keep(self) -> None:
+        """What it holds now it has after power-on."""
+        self.stored, self.stored_text = self.value, self.text
+
+    def restore(self) -> None:
+        """Power-on."""
+        self.value, self.text = self.stored, self.stored_text
+
     def get(self) -> int:
         return self.value if self.read is None else self.read()
 
     def pack(self) -> bytes:
         """The value as it is on the bus."""
-        return self.text if self.type is VISIBLE_STRING else self.type.pack(self.get())
+        return self.type.pack(self.get()) if self.type.size else self.text
 
     def trigger(self) -> bytes:
         """What an event-driven PDO that holds it is sent for, when it changes."""
@@ -194,7 +206,10 @@ class ObjectDictionary:
         entry = self[index, subindex]
         if entry.access in ("ro", "const"):
             raise SdoAbort(AbortCode.READ_ONLY)
-        if size is not None and size != entry.type.size:
+        if size is not None and not entry.type.size:
+            if size > LONGEST_TEXT:
+                raise SdoAbort(AbortCode.LENGTH_TOO_HIGH)
+        elif size is not None and size != entry.type.size:
             too_long = size > entry.type.size
             raise SdoAbort(AbortCode.LENGTH_TOO_HIGH if too_long else AbortCode.LENGTH_TOO_LOW)
         return entry
@@ -202,4 +217,7 @@ class ObjectDictionary:
     def download(self, index: int, subindex: int, data: bytes) -> None:
         """Writes like an SDO client. Raises `SdoAbort`."""
         entry = self.check_download(index, subindex, len(data))
-        entry.set(entry.type.unpack(data))
+        if entry.type.size:
+            entry.set(entry.type.unpack(data))
+        else:
+            entry.text = data

@@ -291,7 +291,7 @@ class Epos2(PositionOutputs):
         """All parameters as they are now are there after power-on."""
         for _, entry in self.dictionary.items():
             if entry.access in ("rw", "rww"):
-                entry.stored = entry.value
+                entry.keep()
 
     def _load(self, signature: int) -> None:
         """After the next reset all parameters are as they left the factory."""

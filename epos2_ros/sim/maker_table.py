@@ -13,6 +13,7 @@ from .dictionary import (
     INTEGER8,
     INTEGER16,
     INTEGER32,
+    OCTET_STRING,
     UNSIGNED8,
     UNSIGNED16,
     UNSIGNED32,
@@ -30,6 +31,7 @@ _TYPES = {
     "i16": INTEGER16,
     "i32": INTEGER32,
     "str": VISIBLE_STRING,
+    "bytes": OCTET_STRING,
 }
 
 

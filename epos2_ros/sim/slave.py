@@ -466,7 +466,7 @@ class Slave:
 
     def _reset_node(self) -> None:
         for _, entry in self.dictionary.items():
-            entry.value = entry.stored
+            entry.restore()
         self._alarm_us = INF
         self.error_register = 0
         self._history.clear()
@@ -476,7 +476,7 @@ class Slave:
     def _reset_communication(self) -> None:
         for (index, _), entry in self.dictionary.items():
             if 0x1000 <= index <= 0x1FFF:
-                entry.value = entry.stored
+                entry.restore()
         for pdo in (*self.rpdos, *self.tpdos):
             pdo.reset()
         self._sdo.reset()

@@ -53,7 +53,8 @@ def test_another_model_in_a_drive_s_place_is_refused(monkeypatch: pytest.MonkeyP
     with rig("virtual", "driver swap", simulate=True) as made:
         told = identities[1]
         identities[1] = identities[2]
-        made.driver._reactor.call(lambda: made.driver._group._watch._lost.update(made.driver._nodes))
+        lost = made.driver._group._watch._lost
+        made.driver._reactor.call(lambda: lost.update(made.driver._nodes))
         with pytest.raises(DriveError, match="was a maxon EPOS2 70/10 and is now a maxon"):
             made.driver.reset_fault()
         identities[1] = replace(told, revision=0x2120_0000, serial_number=18)

@@ -13,6 +13,7 @@ import canopen
 import pytest
 from canopen.objectdictionary import ODVariable, datatypes
 from makers import facts
+from sim_host import Abort, Host
 
 from epos2_ros.protocol import copley
 from epos2_ros.sim.copley import Copley
@@ -116,28 +117,59 @@ def test_the_simulated_drive_has_every_object_with_its_size(
 
 
 def test_the_simulated_drive_is_as_in_the_makers_table() -> None:
-    """Access, type, range, default and PDO mapping; what is not there is in the note alone."""
-    known = {(fact.index, fact.subindex): fact for fact in facts("copley_accelnet_2016.csv", 5)}
+    """All its objects: access, type, range, default and PDO mapping. No other but the note's."""
+    simulated = dict(Copley(NODE_ID).dictionary.items())
     checked = 0
-    for key, entry in Copley(NODE_ID).dictionary.items():
-        if 0x2160 <= key[0] <= 0x2165 or key[0] == 0x250C:
-            continue
-        fact = known[key]
-        name = f"{key[0]:04X}-{key[1]:02X}"
-        if fact.size:  # else a string, or ten bytes
+    for fact in facts("copley_accelnet_2016.csv", NODE_ID):
+        if fact.index in (0x2001, 0x250C):  # updating firmware; reading trace memory
+            simulated.pop((fact.index, 0), None)
+            continue  # is not simulated
+        entry, name = simulated.pop((fact.index, fact.subindex)), fact.key
+        if fact.size:  # else a string, or bytes
             assert (entry.type.size, entry.type.signed) == (fact.size, fact.signed), name
         assert entry.access.replace("const", "ro") == fact.access.replace("const", "ro"), name
         assert entry.mappable == fact.mappable, name
         if fact.default is not None and fact.access != "ro":
-            off = 0x1400 <= key[0] <= 0x1BFF and key[0] & 4  # PDOs that are not used
-            assert entry.default == fact.default or off or key[0] == 0x6081, name
+            off = 0x1400 <= fact.index <= 0x1BFF and fact.index & 4  # PDOs that are not used
+            assert entry.default == fact.default or off, name
         if fact.limits is not None and fact.access != "ro":
             assert (
                 entry.type.low if entry.low is None else entry.low,
                 entry.type.high if entry.high is None else entry.high,
             ) == fact.limits, name
         checked += 1
-    assert checked > 180
+    assert set(simulated) == {(index, 0) for index in range(0x2160, 0x2166)}
+    assert checked > 500
+
+
+def test_texts_and_bytes_are_kept_when_they_are_stored() -> None:
+    drive = Copley(1)
+    host = Host(drive)
+    host.write_bytes(0x21A0, 0, b"elbow")  # axis name
+    host.write_bytes(0x2106, 0, bytes(range(14)))  # coefficients of a filter
+    host.write(0x1010, 4, 0x6576_6173, 4)  # save, manufacturer defined parameters
+    host.write_bytes(0x21A0, 0, b"wrist, not stored")
+    drive.power_off()
+    drive.power_on(host.bus.now_us)
+    assert drive.dictionary.upload(0x21A0, 0) == b"elbow"
+    assert drive.dictionary.upload(0x2106, 0) == bytes(range(14))
+
+
+@pytest.mark.parametrize(
+    ("index", "subindex", "value", "size", "code"),
+    [
+        (0x2103, 0, -1, 4, 0x0609_0032),  # velocity loop limit: 0 … 500,000,000
+        (0x2103, 0, 500_000_001, 4, 0x0609_0031),
+        (0x2115, 0, 0, 2, 0x0601_0002),  # RMS current: read only
+        (0x2110, 0, 0, 4, 0x0607_0012),  # peak current has two bytes
+        (0x2110, 1, 0, 2, 0x0609_0011),
+        (0x6007, 0, 3, 2, 0x0602_0000),
+    ],
+)
+def test_what_the_maker_does_not_allow_is_refused(index, subindex, value, size, code) -> None:
+    with pytest.raises(Abort) as abort:
+        Host(Copley(1)).write(index, subindex, value, size)
+    assert abort.value.code == code
 
 
 @pytest.mark.parametrize("index", [0x1012, 0x1016, 0x6007])

@@ -335,6 +335,7 @@ def enabled(**kwargs: object) -> Axis:
     for word in (0x06, 0x07, 0x0F):
         axis.write(0x6040, 0, word, 2)
     assert axis.read(0x6041) & 0x6F == 0x27
+    axis.write(0x6081, 0, 1_000_000, 4)  # from the factory it is 0
     return axis
 
 
