@@ -21,7 +21,7 @@ import sys
 import time
 from bisect import bisect_left
 from collections import Counter, deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -33,16 +33,17 @@ from unittest import mock
 import numpy as np
 from simulated_time import Bench
 
-from epos2_ros.bus import cia402_node, sdo_access, sdo_client
+from epos2_ros.bus import cia402_node, sdo_access, sdo_client, timestamps
+from epos2_ros.bus.timestamps import ReceiveClock
 from epos2_ros.configuration.driver import AxisConfig, DriverConfig, HomingConfig
-from epos2_ros.errors import Epos2RosError
+from epos2_ros.errors import BusError, Epos2RosError
 from epos2_ros.motion.trajectory import Trajectory
-from epos2_ros.protocol.clock import time_of_day
 from epos2_ros.protocol.frame import Frame
+from epos2_ros.protocol.other_host import OtherHost
 from epos2_ros.protocol.phase import BEGUN, Phase
 from epos2_ros.sim.cl3e import Cl3e
 from epos2_ros.sim.copley import Copley
-from epos2_ros.sim.epos2 import Epos2
+from epos2_ros.sim.epos2 import Dictionary, Epos2
 
 QC_PER_RAD = 2000 * 100 / (2 * math.pi)
 MAX_VELOCITY, MAX_ACCELERATION = 3.0, 12.0
@@ -54,6 +55,7 @@ SILENCE_S = 0.5  # until a silent drive, or a host, is noticed
 ANSWER_S = 60.0  # within which every request is answered; bring-up of a silent drive included
 STARTED_US = 400_000.0  # so long the drives have had power when bring-up begins
 SAMPLE_US = 4_000.0
+QUEUE = 10  # frames, of SocketCAN
 SWAP_US = 20_000.0  # as long a frame waits for one that overtakes it
 REST_QC = 6.0  # within HISTORY samples: it stands
 HISTORY = 6
@@ -114,6 +116,8 @@ class Scenario:
     sync_period: float = 0.1
     bitrate: int = 1_000_000
     killed_s: float | None = None  # after the last action, and another host comes so much later
+    source: str = "host"  # the clock master, and …
+    producer: str = "host"  # … who sends SYNC: the host, or a drive with the note's dictionary
     seed: int = 0
 
 
@@ -167,8 +171,15 @@ def scenario_of(seed: int) -> Scenario:
         sync_period=chance.choice((0.05, 0.1, 0.1, 0.1, 0.2)),
         bitrate=chance.choice((500_000, 1_000_000, 1_000_000)),
         killed_s=chance.choice((*[None] * 8, 0.0, 0.3, 1.5)),
+        source=_one_of(axes, chance),
+        producer=_one_of(axes, chance),
         seed=seed,
     )
+
+
+def _one_of(axes: Sequence[Axis], chance: random.Random) -> str:
+    joints = [f"joint_{n}" for n, axis in enumerate(axes, 1) if axis.family == "epos2"]
+    return chance.choice(joints) if joints and chance.random() < 0.1 else "host"
 
 
 def _trouble(chance: random.Random, axes: int, actions: int) -> Trouble:
@@ -177,7 +188,7 @@ def _trouble(chance: random.Random, axes: int, actions: int) -> Trouble:
             *(f"{kind} to drive" for kind in TO_DRIVE),
             *(f"{kind} to host" for kind in TO_HOST),
             *("abort", "no SDO", "emergency", "emergency", "silent", "silent", "power", "stall"),
-            *("stall", "clock", "foreign", "length"),
+            *("stall", "clock", "foreign", "length", "wall", "wall", "adapter", "other host"),
         )
     )
     kind, _, to = name.partition(" to ")
@@ -305,12 +316,15 @@ class Stage(Bench):
             buffer_time=scenario.buffer_time,
             sync_period=scenario.sync_period,
             bitrate=scenario.bitrate,
+            sync_source=scenario.source,
+            sync_producer=scenario.producer,
         )
         drives = before.drives if before else [
             _drive(n, axis, scenario) for n, axis in enumerate(scenario.axes, 1)
         ]
         with mock.patch.object(cia402_node, "object_dictionary", _dictionary_of):
-            super().__init__(config, drives, bring_up=False, bus=before.bus if before else None)
+            bus = before.bus if before else None
+            super().__init__(config, drives, bring_up=False, host_queue=QUEUE, bus=bus)
         self.wires = before.wires if before else []  # to each drive
         if before is None:
             self.bus.add(self.director)  # type: ignore[arg-type]
@@ -319,6 +333,13 @@ class Stage(Bench):
                 drive.receive = wire  # type: ignore[method-assign]
                 self.wires.append(wire)
         self.host_wire = Meddler(self._heard, self, 0)
+        self.wall_us = before.wall_us if before else [(-math.inf, 1.7e15)]  # since when, ahead by
+        self.stamp_us = self._stamped
+        self._clock = ReceiveClock()
+        self._refuses_until_us = -math.inf  # the adapter takes no frames
+        names = {drive.node_id: str(drive) for drive in self.machine.drives}
+        self._other_host = OtherHost(names, self.machine.time.produces)
+        self._listen_for_another_host()
         self.watch = Watch(self)
         self.asked: list[tuple[str, Future[Any]]] = []
         self.refused: list[str] = []
@@ -356,7 +377,34 @@ class Stage(Bench):
         for frame in unheard:
             super()._on_frame(*frame)
 
+    # ------------------------------------------------------------------ the computer
+
+    def wall_at_us(self, t_us: float) -> float:
+        """The wall clock, which somebody may set."""
+        return t_us + next(ahead for since, ahead in reversed(self.wall_us) if since <= t_us)
+
+    def _stamped(self, t_us: float) -> float:
+        """By the driver's own clock, from what the adapter has stamped with the wall clock."""
+        return self._clock.host_us(self.wall_at_us(t_us) / 1e6)
+
+    def _hand_over(self, frame: Frame) -> bool:
+        return self.now_us >= self._refuses_until_us and super()._hand_over(frame)
+
     # ------------------------------------------------------------------ the driver's way
+
+    def _listen_for_another_host(self) -> None:
+        """As `Driver._on_frame`."""
+        receive = self.machine.receive
+
+        def look(frame: Frame, t_us: float, echo: bool = False) -> None:
+            running = self.group.time.running
+            if not echo:
+                told = self._other_host.look(frame, t_us, running)
+                if told and running:
+                    self.group.fail(told)
+            receive(frame, t_us, echo)
+
+        self.machine.receive = look  # type: ignore[method-assign]
 
     def _push(self, frame: Frame) -> None:
         self.watch.handed_over(frame)
@@ -364,12 +412,13 @@ class Stage(Bench):
 
     def reset_fault(self) -> Future[None]:
         """As `Driver.reset_fault`."""
+        if told := self._other_host.still_there(self.now_us):
+            raise BusError(told)
         lost = self.lost() if self.group.time.running else list(range(len(self.nodes)))
         for index in lost:
             self.bring_up_drive(index)
         if lost:
-            self.group.start_clock(self.now_us, time_of_day(1_700_000_000))
-            self._flush()
+            self.start_clock()
         return self.group.reset_fault()
 
     # ------------------------------------------------------------------ troubles
@@ -421,6 +470,14 @@ class Stage(Bench):
                         jump_us = self.chance.choice((-1, 1)) * 10 ** self.chance.uniform(2, 5)
                         drive._shift_path(jump_us)
                         drive.clock._offset_us += jump_us
+                case "wall":
+                    ahead_us = self.wall_us[-1][1]
+                    step_us = self.chance.choice((-1, 1)) * 10 ** self.chance.uniform(3, 7)
+                    self.wall_us.append((t_us, ahead_us + step_us))
+                case "adapter":
+                    self._refuses_until_us = self.woke_us = t_us + min(lasts_us, 3e6)
+                case "other host":
+                    self._another_host(t_us, trouble.count)
                 case "foreign":
                     self._burst(range(0x001, 0x800), 200)
                 case "length":
@@ -429,6 +486,23 @@ class Stage(Bench):
             self.bus._look_at(trouble.axis)
 
         return begin
+
+    def _another_host(self, t_us: float, count: int) -> None:
+        """Somebody else believes that these drives are his."""
+        node = self.chance.choice([0, *(drive.node_id for drive in self.drives)])
+        can_id, data = self.chance.choice((
+            (0x77F, b"\x05"),
+            (0x080, b""),
+            (0x100, bytes(6)),
+            *((0, bytes((command, node))) for command in (0x01, 0x02, 0x80, 0x81, 0x82)),
+            *((0x500 + (node or 1), bytes((word, 0))) for word in (0x00, 0x02, 0x06, 0x0F)),
+        ))
+        for n in range(count):
+            self.director.at(
+                t_us + n * 50e3, lambda _: self.director.outbox.append((can_id, data))
+            )
+        for drive in self.drives:
+            self.meddled(drive.node_id, 0)
 
     def _burst(self, ids: Any, count: int, exact: bool = True) -> None:
         """Frames of no node of ours, or of ours but with a length that they can't have."""
@@ -480,9 +554,11 @@ def _drive(node_id: int, axis: Axis, scenario: Scenario) -> Any:
         return Copley(node_id, drift_ppm=axis.drift_ppm)
     if axis.family == "cl3e":
         return Cl3e(node_id, drift_ppm=axis.drift_ppm)
+    note = {scenario.source, scenario.producer} != {"host"}
     return Epos2(
-        node_id, drift_ppm=axis.drift_ppm, offset_us=1e6 * node_id, bitrate=scenario.bitrate
-    )
+        node_id, drift_ppm=axis.drift_ppm, offset_us=1e6 * node_id, bitrate=scenario.bitrate,
+        dictionary=Dictionary.NOTE if note else Dictionary.MAKER,
+    )  # fmt: skip
 
 
 # ---------------------------------------------------------------------------- what is promised
@@ -781,8 +857,16 @@ def _killed(stage: Stage, after_s: float) -> tuple[Stage, bool]:
     return another, _bring_up(another)
 
 
+def _harmless(scenario: Scenario, trouble: Trouble) -> bool:
+    """Whether it has to go unnoticed; a stall where it is covered by what the buffers hold."""
+    streamed = any(action.name == "stream" for action in scenario.actions)
+    if trouble.name == "stall" and trouble.after >= 0 and not streamed:
+        return trouble.lasts_s <= scenario.buffer_time - 0.1
+    return trouble.name in ("wall", "foreign", "length")
+
+
 def _no_fault(stage: Stage) -> None:
-    """Where nothing has happened."""
+    """Where nothing has happened that the driver doesn't bear."""
     for event in stage.events:
         if event.kind == "fault":
             raise Broken("no fault without a cause", event.text)
@@ -825,6 +909,20 @@ def _way_back(stage: Stage, brought_up: bool) -> None:
         _again(stage)
 
 
+def _go(stage: Stage) -> None:
+    """A clean end leaves no drive on, moving or in fault, however long nobody is there."""
+    stage.close()
+    stage.director._agenda.clear()
+    stage.bus.run_until(stage.now_us + 2e6, lambda *frame: None)
+    before = [_shaft_qc(drive) for drive in stage.drives]
+    stage.bus.run_until(stage.now_us + 0.1e6, lambda *frame: None)
+    for place, drive in enumerate(stage.drives):
+        if drive.state.name not in ("SWITCH_ON_DISABLED", "READY_TO_SWITCH_ON"):
+            raise Broken("a clean end", f"joint_{place + 1} is left in {drive.state.name}")
+        if abs(_shaft_qc(drive) - before[place]) > 0.5:
+            raise Broken("a clean end", f"joint_{place + 1} still moves")
+
+
 def _again(stage: Stage) -> None:
     try:
         _expect(stage, "reset_fault", stage.reset_fault())
@@ -849,8 +947,15 @@ def _again(stage: Stage) -> None:
 @contextmanager
 def _simulated_clock(stage: Stage) -> Iterator[None]:
     """Whoever looks at the clock sees that of the bus: a run does not depend on the computer."""
-    clock = SimpleNamespace(monotonic=lambda: stage.now_us / 1e6)
+    clock = SimpleNamespace(
+        monotonic=lambda: stage.now_us / 1e6,
+        time_ns=lambda: round(stage.wall_at_us(stage.now_us) * 1000),
+    )
+    offset_us = lambda: stage.now_us - stage.wall_at_us(stage.now_us)  # noqa: E731
     with (
+        mock.patch.object(timestamps, "time", clock),
+        mock.patch.object(timestamps, "now_us", lambda: stage.now_us),
+        mock.patch.object(timestamps, "wall_offset_us", offset_us),
         mock.patch.object(cia402_node, "time", clock),
         mock.patch.object(sdo_access, "time", clock),
         mock.patch.object(sdo_client, "time", clock),
@@ -872,7 +977,7 @@ def play(scenario: Scenario) -> Stage:
                 stage, brought_up = _killed(stage, scenario.killed_s)
             elif brought_up:
                 _settle(stage)
-            if not scenario.troubles:
+            if all(_harmless(scenario, trouble) for trouble in scenario.troubles):
                 _no_fault(stage)
             stage.heal()
             stage.run(1.5)
@@ -880,6 +985,7 @@ def play(scenario: Scenario) -> Stage:
                 _settle(stage)
                 _agree(stage)
             _way_back(stage, brought_up)
+            _go(stage)
         except (Broken, KeyboardInterrupt):
             raise
         except Exception as error:

@@ -107,11 +107,31 @@ class Bench:
         """As `Driver.configure`."""
         for index in range(len(self.nodes)):
             self.bring_up_drive(index)
+        self.start_clock()
+
+    def start_clock(self) -> None:
+        """As `Driver._bring_up`, when the drives are brought up."""
         self.group.start_clock(self.now_us, time_of_day(1_700_000_000))
         self._flush()
+        self._produce_sync(round(self.config.sync_period * 1e6))
+
+    def _produce_sync(self, period_us: int) -> None:
         if self.config.sync_producer != "host":
             producer = [axis.joint for axis in self.config.axes].index(self.config.sync_producer)
-            self.nodes[producer].produce_sync(round(self.config.sync_period * 1e6))
+            self.nodes[producer].produce_sync(period_us)
+
+    def close(self) -> None:
+        """As `Driver.close`: the last that the host does."""
+        if self.group.phase is not Phase.DISABLED:
+            for request in (self.group.quick_stop, self.group.disable):
+                self.wait(request())
+        self._produce_sync(0)
+        lost = self.lost()
+        for index, node in enumerate(self.nodes):
+            if index not in lost:
+                node.leave()
+        self._flush()
+        self.run(0.001)
 
     def lost(self) -> list[int]:
         """Places of the drives that are to be brought up anew."""

@@ -35,6 +35,10 @@ STATE_TIMEOUT_S = 5.0
 QUICK_STOP_LIMIT_S = 2.5
 ERROR_FIELD = 0x1003
 
+_ON = frozenset(
+    {State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE}
+)
+
 
 class Direction(NamedTuple):
     """Where the records of a kind of PDO begin in the object dictionary."""
@@ -120,6 +124,22 @@ class Cia402Node:
             f"ms), {self.objects.name(epos2.CONSUMER_HEARTBEAT_TIME, 1)}",
             GOES_ON,
         )
+
+    def leave(self) -> None:
+        """The host goes: a drive that is off need not watch it any more, and stays without fault.
+
+        It goes back to pre-operational, where no PDO can switch it on. One that is still on keeps
+        its watch, which is what stops it.
+        """
+        objects = self.objects
+        if cia402.state_of(objects.read(epos2.STATUSWORD)) in _ON:
+            return
+        if self._family.life_guarding:
+            objects.write(epos2.LIFE_TIME_FACTOR, 0)
+            objects.write(epos2.GUARD_TIME, 0)
+        else:
+            objects.write(epos2.CONSUMER_HEARTBEAT_TIME, 0, 1)
+        self.node.nmt.send_command(0x80)  # pre-operational
 
     def _be_guarded(self) -> None:
         objects = self.objects

@@ -81,6 +81,10 @@ class Cl3eNode:
         """DriveError: no CL3-E can send SYNC (it has no 0x1006)."""
         raise DriveError(f"{self._access} can't send SYNC: set sync.producer to host")
 
+    def leave(self) -> None:
+        """The host goes: a drive that is off need not watch it any more."""
+        self._access.leave()
+
     def _write_objects(self) -> None:
         s, write = self.settings, self._objects.write
         self._check_units()

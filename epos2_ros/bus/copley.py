@@ -73,6 +73,10 @@ class CopleyNode:
         """DriveError: sync.producer is to be the host or an EPOS2."""
         raise DriveError(f"{self._access} is not asked to send SYNC: set sync.producer to host")
 
+    def leave(self) -> None:
+        """The host goes: a drive that is off need not watch it any more."""
+        self._access.leave()
+
     def _write_objects(self) -> None:
         s, write = self.settings, self._access.objects.write
         self._check_units()

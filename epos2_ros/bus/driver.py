@@ -253,7 +253,9 @@ class Driver:
             self._announce(self._on_event, Event("drive", text))
 
     def close(self) -> None:
-        """Close the bus. Drives that are still enabled stop on the host's missing heartbeat.
+        """Stop the axes and switch them off, let the drives go, close the bus.
+
+        Drives that can't be reached any more stop on the host's missing heartbeat.
 
         Whoever waits for an answer gets one.
         """
@@ -267,6 +269,7 @@ class Driver:
             try:
                 self._switch_off()
                 self._produce_sync(0)
+                self._leave()
             except DriveError as error:
                 self._warn(str(error))
         self._worker.close()
@@ -281,6 +284,13 @@ class Driver:
             self._link.close()
         if self._simulation is not None:
             self._simulation.close()
+
+    def _leave(self) -> None:
+        """The drives are not to take the end of our heartbeat for a fault."""
+        lost = self._reactor.call(self._group.lost)
+        for drive, node in self._nodes.items():
+            if drive not in lost:
+                self._worker.run(node.leave)
 
     def _switch_off(self) -> None:
         """Nothing is left enabled behind a closed bus: axes that still are stop at once."""

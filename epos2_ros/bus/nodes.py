@@ -27,6 +27,9 @@ class DriveNode(Protocol):
     def produce_sync(self, period_us: int) -> None:
         """The drive sends SYNC from now on; 0: no longer."""
 
+    def leave(self) -> None:
+        """The host goes: a drive that is off need not watch it any more."""
+
 
 def check(axis: AxisConfig, config: DriverConfig) -> None:
     """ConfigurationError for a drive that there is not, or that can't hold what it is set to."""

@@ -84,6 +84,7 @@ class Group:
         self.motion: Future[End] | None = None  # ends with the motion in progress or to come
         self.modes: tuple[Mode, ...] = ()  # of the motion in progress, or last
         self._taking_part: dict[Drive, Mode] = {}  # in the motion in progress, or last
+        self._braking: dict[Drive, Mode] = {}  # who is halted in motion
         self._held: dict[Drive, Mode] = {}  # halted, in a mode that would go on without the halt
         self._rest = dict(rest)
         self._words = SynchronousControlwords(self.drives, out)
@@ -172,7 +173,7 @@ class Group:
         """Another master's: what it stops does not listen to us any more."""
         if self._watch.on_nmt(command, node_id):
             if self.phase is Phase.HALTING:  # what was sent may come too late
-                self._halt_all()
+                self._send_halts()
             else:
                 self._trouble()
 
@@ -239,6 +240,7 @@ class Group:
         Call it when all drives are brought up; from now on they are watched.
         """
         self.time.start(now_us, time_of_day, echoes)
+        self._watch.clocks_begin()
         for drive in self.drives:
             self._watch.heard(drive, now_us)
         self.advance(now_us)
@@ -860,16 +862,20 @@ class Group:
         """Who may be moving keeps the bits with which it brakes on its ramp."""
         self._words.take_back(self._now_us)
         still = self.phase in NOT_BEGUN or self.phase is Phase.STANDING
-        braking = {} if still else dict(self._taking_part)
+        self._braking = {} if still else dict(self._taking_part)
         self._quick_stopped.clear()
-        self._held |= {drive: mode for drive, mode in braking.items() if mode.resumes}
+        self._held |= {drive: mode for drive, mode in self._braking.items() if mode.resumes}
         self._enter(Phase.HALTING)
         self._end_modes()
+        self._send_halts()
+
+    def _send_halts(self) -> None:
         for drive in self.drives:
             self._make_listen(drive)
             if drive.state is State.OPERATION_ENABLED:
-                bits = cia402.HALT | (braking[drive].brakes_with if drive in braking else 0)
-                self.out.frames.append(drive.controlword(cia402.ENABLE_OPERATION | bits))
+                brakes = self._braking[drive].brakes_with if drive in self._braking else 0
+                word = cia402.ENABLE_OPERATION | cia402.HALT | brakes
+                self.out.frames.append(drive.controlword(word))
 
     def _make_listen(self, drive: Drive) -> None:
         """Who has left NMT operational hears no controlword; his PDOs are as they were mapped."""

@@ -99,6 +99,10 @@ class Watch:
         }
         return [drive for drive in self._drives if drive in self._lost]
 
+    def clocks_begin(self) -> None:
+        """All that were to be brought up anew have been; what their clocks were does not count."""
+        self._lost.clear()
+
     # ------------------------------------------------------------------ what is wrong
 
     def silent(self, drive: Drive) -> bool:
