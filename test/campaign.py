@@ -861,7 +861,7 @@ def _harmless(scenario: Scenario, trouble: Trouble) -> bool:
     """Whether it has to go unnoticed; a stall where it is covered by what the buffers hold."""
     streamed = any(action.name == "stream" for action in scenario.actions)
     if trouble.name == "stall" and trouble.after >= 0 and not streamed:
-        return trouble.lasts_s <= scenario.buffer_time - 0.1
+        return trouble.lasts_s <= min(scenario.buffer_time - 0.1, SILENCE_S - 0.1)
     return trouble.name in ("wall", "foreign", "length")
 
 

@@ -191,6 +191,7 @@ class Driver:
             self._group.fail,
             self._on_failure,
             self._reactor.post,
+            self._reactor.offer,
             self._on_other,
         )
         # Before anything is sent: what another host does with these drives goes on untouched.

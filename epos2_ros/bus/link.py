@@ -32,6 +32,10 @@ PROBE_TIMEOUT_S = 0.2
 RECEIVE_TIMEOUT_S = 0.1  # so often the receiving thread looks whether it is to end
 LOAD_WINDOW_US = 1_000_000.0
 ENTER_PRE_OPERATIONAL = Frame(0x000, b"\x80\x00")  # NMT, all nodes
+SWAMPED = (
+    "brings more than this computer gets to: reduce what else is on this bus, or what else the "
+    "computer does"
+)
 _QUEUE_FULL = {errno.ENOBUFS, errno.EAGAIN}
 
 OnFrame = Callable[[Frame, float, bool], None]
@@ -56,7 +60,8 @@ class Link:
     for our own (`echo`); `on_other(kind, can_id, data, t_us)` for the rest ("error", "remote",
     "extended", "fd", "dropped"); `on_disturbance(text)` when the bus gets bad; `on_failure(text)`,
     once, when nothing gets through any more: then open a new link. All by `post`, which runs a job
-    in the thread that owns this object, as everything but `network` has to be.
+    in the thread that owns this object, as everything but `network` has to be; what comes in by
+    `offer`, which does unless too much waits to be run already. Then the link has failed.
     """
 
     def __init__(
@@ -69,6 +74,7 @@ class Link:
         on_disturbance: Callable[[str], None],
         on_failure: Callable[[str], None],
         post: Callable[[Callable[[], None]], None],
+        offer: Callable[[Callable[[], None]], bool],
         on_other: OnOther = lambda kind, can_id, data, t_us: None,
     ) -> None:
         self.name = f"{interface}:{channel}"
@@ -77,6 +83,7 @@ class Link:
         self.health = Health()
         self.failed = False
         self._post = post
+        self._offer = offer
         self._intake = intake
         self._on_frame = on_frame
         self._on_disturbance = on_disturbance
@@ -96,6 +103,7 @@ class Link:
         self._transmitter = Transmitter(self._hand_over, bitrate, echoes=False)
         self._pumping = False
         self._closing = False
+        self._swamped = False  # something that came in was not taken
         self._receiver = threading.Thread(target=self._receive, name="CAN receiver", daemon=True)
         self._receiver.start()
 
@@ -204,38 +212,44 @@ class Link:
             if unreadable:
                 self._reject("unreadable input", unreadable[0], len(unreadable))
                 unreadable = []
+            if self._swamped:
+                self._post(partial(self.fail, SWAMPED))
+                return
             if message is not None:
                 try:
                     self._on_message(message, began_us)
                 except Exception as error:  # a mistake of ours
                     self._post(partial(_raise, error))
             else:
-                self._post(partial(self._nothing_until, began_us))
+                self._take(partial(self._nothing_until, began_us))
 
     def _on_message(self, message: can.Message, began_us: float) -> None:
         frame = Frame(message.arbitration_id, bytes(message.data), message.is_remote_frame)
         t_us = self.clock.host_us(message.timestamp)
         kind = _unused(message)
         if kind == "remote":
-            self._post(partial(self._take_request, frame, t_us))
+            self._take(partial(self._take_request, frame, t_us))
         elif kind:
-            self._post(partial(self._on_other, kind, frame.can_id, frame.data, t_us))
-            self._post(partial(self._nothing_until, began_us))
+            self._take(partial(self._on_other, kind, frame.can_id, frame.data, t_us))
+            self._take(partial(self._nothing_until, began_us))
             if kind == "error":
-                self._post(partial(self._take_error, frame.can_id, frame.data))
+                self._take(partial(self._take_error, frame.can_id, frame.data))
             elif message.is_rx:  # else it is ours
                 self._reject(f"{kind} frame", f"{kind} frame 0x{frame.can_id:03X}")
         else:
             if self._probing and frame == ENTER_PRE_OPERATIONAL:
                 self._probing = False
                 self._echo_seen.set()
-                self._post(partial(self._take_probe, frame, t_us))
+                self._take(partial(self._take_probe, frame, t_us))
             else:
-                self._post(partial(self._take_in, frame, t_us))
+                self._take(partial(self._take_in, frame, t_us))
 
     def _reject(self, kind: str, what: str, times: int = 1) -> None:
         told = f"{self.name}: {what}"
-        self._post(lambda: self._intake.rejects.add(kind, self.name, told, times))
+        self._take(lambda: self._intake.rejects.add(kind, self.name, told, times))
+
+    def _take(self, job: Callable[[], None]) -> None:
+        self._swamped = self._swamped or not self._offer(job)
 
     def _nothing_until(self, t_us: float) -> None:
         self._heard_us = max(self._heard_us, t_us)

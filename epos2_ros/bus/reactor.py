@@ -3,6 +3,9 @@
 Jobs run in the order in which they come, so no thread can starve another by holding a lock. What
 is due by the clock runs after those that have come meanwhile: it sees all that is known by then.
 What raises is reported, and the next job runs.
+
+Who calls waits for the answer, so callers are bounded by themselves; what the bus sends is not, and
+is refused where too much of it waits already.
 """
 
 from __future__ import annotations
@@ -22,6 +25,7 @@ Job = Callable[[], None]
 
 CALL_TIMEOUT_S = 10.0  # no job takes so long
 LOOK_AGAIN_S = 0.5  # whether the thread is still there
+MOST_WAITING = 20_000  # jobs: what a bus at 1 Mbit/s brings in two seconds, in some ten megabytes
 RETRY_US = 10_000.0  # until `step` is called again when it has raised
 
 
@@ -52,6 +56,13 @@ class Reactor:
     def post(self, job: Job) -> None:
         """Run `job` soon; from any thread."""
         self._inbox.put(job)
+
+    def offer(self, job: Job) -> bool:
+        """`post`, unless too much waits already; whether it was taken."""
+        if self._inbox.qsize() >= MOST_WAITING:
+            return False
+        self.post(job)
+        return True
 
     def call(self, function: Callable[[], T]) -> T:
         """Run `function` in the reactor and return what it returns, or raise what it raises.

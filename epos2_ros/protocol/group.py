@@ -84,6 +84,7 @@ class Group:
         self.motion: Future[End] | None = None  # ends with the motion in progress or to come
         self.modes: tuple[Mode, ...] = ()  # of the motion in progress, or last
         self._taking_part: dict[Drive, Mode] = {}  # in the motion in progress, or last
+        self._halted_again = False  # they were told twice
         self._braking: dict[Drive, Mode] = {}  # who is halted in motion
         self._held: dict[Drive, Mode] = {}  # halted, in a mode that would go on without the halt
         self._rest = dict(rest)
@@ -204,6 +205,7 @@ class Group:
         return self._taking_part.get(drive, rest) if self.phase in IN_MOTION else rest
 
     def _on_sync(self, t_us: float) -> None:
+        self._watch.on_sync()
         self._words.on_sync()
         late = len(self._words.unseen)
         if late and self.phase is Phase.CANCELLING:  # of a drive: some have started
@@ -387,6 +389,10 @@ class Group:
         """Something is wrong that no drive says: stop all, and be in fault."""
         if self.phase in IN_MOTION:
             self._once_started(None, lambda: self._stop_all(reason))
+        elif self.phase in (Phase.QUICK_STOPPING, Phase.DISABLING):  # which go on, and end in it
+            if not self._faulted:
+                self._faulted, self.reason = True, reason
+                self._say_fault(reason)
         elif self.phase not in (Phase.FAULT, Phase.HALTING, Phase.RESETTING):
             self._settle_fault(reason)
 
@@ -420,7 +426,7 @@ class Group:
 
     def lost(self) -> list[Drive]:
         """To be brought up anew, until they are (`reconfigured`)."""
-        return self._watch.lost(self._now_us)
+        return self._watch.lost()
 
     def describe_phase(self) -> str:
         """The phase in words, with the reason where there is one."""
@@ -524,7 +530,9 @@ class Group:
         """One transition for every axis that is not where the phase wants it."""
         if self._words.latched and self.phase is Phase.ENABLING:
             return  # what the next SYNC makes count would undo it
-        waiting = self._walk.step(self.drives, WALK_TARGET[self.phase], self._now_us)
+        gone = self._gone() if self.phase is Phase.DISABLING else ()
+        there = [drive for drive in self.drives if drive not in gone]
+        waiting = self._walk.step(there, WALK_TARGET[self.phase], self._now_us)
         if not waiting:
             self._walked()
         elif self._now_us > self._phase_us + STOP_TIMEOUT_US:
@@ -547,13 +555,26 @@ class Group:
             self._off()
 
     def _off(self) -> None:
-        """The drives are off, or in quick stop: the request is granted, a fault stays one."""
-        faulty = self._faulted or any(drive.state is State.FAULT for drive in self.drives)
-        self._enter(Phase.FAULT if faulty else Phase.DISABLED)
-        if not faulty:
+        """The drives are off, or in quick stop: the request is granted, a fault stays one.
+
+        Not of drives that are gone: what became of them nobody knows.
+        """
+        gone = bool(self._gone())
+        self._faulted |= gone or any(drive.state is State.FAULT for drive in self.drives)
+        if not self._faulted:
             self.reason = ""
+        elif gone:
+            self.reason = self._complaints()
+            self._say_fault(self.reason)
+        self._enter(Phase.FAULT if self._faulted else Phase.DISABLED)
+        if gone:
+            self._fail_requests(self.reason)
         self._grant_requests()
         self._disable_if_asked()
+
+    def _gone(self) -> list[Drive]:
+        """Drives that nothing can be told: without power, or stopped by their own watch."""
+        return [drive for drive in self.drives if drive.restarted or self.silent(drive)]
 
     # ------------------------------------------------------------------ getting ready
 
@@ -864,6 +885,7 @@ class Group:
         still = self.phase in NOT_BEGUN or self.phase is Phase.STANDING
         self._braking = {} if still else dict(self._taking_part)
         self._quick_stopped.clear()
+        self._halted_again = False
         self._held |= {drive: mode for drive, mode in self._braking.items() if mode.resumes}
         self._enter(Phase.HALTING)
         self._end_modes()
@@ -927,9 +949,12 @@ class Group:
 
     def _quick_stop_who_does_not_halt(self, late: Sequence[Drive]) -> None:
         """A mode's own bits tell at once that it halts; the ramp may take its time, half of what
-        there is."""
+        there is. Where there are no such bits the halt is sent once more."""
         if self._now_us <= self._phase_us + HALT_REACTION_US:
             return
+        if not self._halted_again:  # one that has missed it looks like one on its ramp
+            self._halted_again = True
+            self._send_halts()
         on_ramp = self._now_us <= self._phase_us + STOP_TIMEOUT_US / 2
         for drive in late:
             if drive in self._quick_stopped or (on_ramp and not self._active(drive)):
@@ -943,7 +968,7 @@ class Group:
         return self._taking_part.get(drive, self._rest[drive]).active(drive)
 
     def _halted(self, drive: Drive) -> bool:
-        if drive.restarted or self.silent(drive):
+        if drive in self._gone():
             return True  # nothing to wait for; it has no power, or its own watch stops it
         at_rest = bool(drive.statusword & cia402.TARGET_REACHED)
         if drive.state is State.OPERATION_ENABLED:
@@ -953,7 +978,8 @@ class Group:
         return drive.state is not State.FAULT_REACTION_ACTIVE
 
     def _finish_quick_stop(self) -> None:
-        moving = [drive for drive in self.drives if not self._quick_stop_done(drive)]
+        gone = self._gone()
+        moving = [d for d in self.drives if d not in gone and not self._quick_stop_done(d)]
         for drive in moving:
             if drive.state is State.OPERATION_ENABLED:
                 self._walk.tell(drive, cia402.QUICK_STOP, self._now_us)
@@ -982,13 +1008,13 @@ class Group:
 
     def _watch_drives(self) -> None:
         """What no frame tells: silence, and clocks that are off."""
-        wrong = self._watch.look(self._now_us, self.phase)
+        wrong = self._watch.look(self.phase)
         if wrong and self.phase not in (Phase.FAULT, Phase.HALTING, Phase.RESETTING):
             self._trouble()
 
     def _complaints(self) -> str:
         """What is wrong with the drives, axis by axis; "" if nothing."""
-        return self._watch.complaints(self._now_us, self.phase)
+        return self._watch.complaints(self.phase)
 
     def _trouble(self) -> None:
         """An axis complains: all stop, whatever the group is doing."""

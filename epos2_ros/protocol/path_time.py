@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from epos2_ros.protocol.clock import MasterClock
 
+NOISE_US = 500.0  # of a time stamp, and of the line through many
+
 
 class PathTime:
     """Of the motion in progress, to come, or last.
@@ -29,8 +31,13 @@ class PathTime:
         self.late_us = 0.0
 
     def correct(self, t_us: float) -> None:
-        """The start SYNC was on the bus then, by the drives' clocks: it was seen late."""
-        self.begin(t_us)
+        """The start SYNC was on the bus then, by the drives' clocks.
+
+        Less is the noise of these; more is by how much the host has seen it late.
+        """
+        if abs(t_us - (self.start_us or t_us)) > NOISE_US:
+            self.begin(t_us)
+        self.late_us = 0.0
 
     def zero_us(self, now_us: float) -> float:
         """Host time of path time zero; before the start SYNC, as far as is known."""

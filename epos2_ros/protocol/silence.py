@@ -18,12 +18,12 @@ MAX_GAP_US = 150_000.0
 
 
 class Silence:
-    """How long each of some drives was not heard. Times are host µs."""
+    """How long each of some senders was not heard. Times are host µs."""
 
-    def __init__(self, drives: int) -> None:
+    def __init__(self, senders: int) -> None:
         self._last_us = -math.inf  # of all frames
         self._listened_us = 0.0  # for so long the bus was listened to
-        self._heard_us = [0.0] * drives  # the same when each drive was last heard
+        self._heard_us = [0.0] * senders  # the same when each was last heard
 
     def listened(self, t_us: float) -> None:
         """There was a frame on the bus at `t_us`, whosoever's."""
@@ -32,9 +32,10 @@ class Silence:
             self._listened_us += min(gap_us, MAX_GAP_US)
             self._last_us = t_us
 
-    def heard(self, drive: int) -> None:
-        """The frame was this drive's."""
-        self._heard_us[drive] = self._listened_us
+    def heard(self, sender: int) -> None:
+        """The frame was of this one."""
+        self._heard_us[sender] = self._listened_us
 
-    def silent(self, drive: int) -> bool:
-        return self._listened_us > self._heard_us[drive] + SILENCE_US
+    def silent(self, sender: int, patience_us: float = SILENCE_US) -> bool:
+        """Whether it was not heard for longer than `patience_us` of listening."""
+        return self._listened_us > self._heard_us[sender] + patience_us

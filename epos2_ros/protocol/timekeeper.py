@@ -283,11 +283,10 @@ class Timekeeper:
             return f"its clock is off by {off_us / 1000:+.1f} ms"
         return ""
 
-    def sync_missing(self, now_us: float) -> bool:
-        """Whether the drive that should has sent no SYNC for long."""
-        patience_us = max(MISSED_SYNCS * self.period_us, SYNC_SILENCE_US)
-        overdue = now_us > self._last_sync_us + patience_us
-        return not self.produces and self.running and overdue
+    @property
+    def sync_patience_us(self) -> float:
+        """After this without the SYNC of a drive it does not come any more."""
+        return max(MISSED_SYNCS * self.period_us, SYNC_SILENCE_US)
 
     def sync(self, now_us: float) -> None:
         """A SYNC goes out; the period counts from it if it is out of turn.

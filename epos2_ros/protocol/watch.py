@@ -25,7 +25,8 @@ class Watch:
         self._drives = tuple(drives)
         self._time = time
         self._out = out
-        self._silence = Silence(len(drives))
+        self._sync = len(drives)  # its place among those that are to be heard
+        self._silence = Silence(len(drives) + 1)
         self._places = {drive: place for place, drive in enumerate(drives)}
         self._clocked = {drive: index for index, drive in enumerate(time.drives)}
         self._unheard: set[Drive] = set()  # were silent, and not brought up since
@@ -41,6 +42,10 @@ class Watch:
         """It was this drive's."""
         drive.heard_us = t_us
         self._silence.heard(self._places[drive])
+
+    def on_sync(self) -> None:
+        """It was a SYNC of a drive."""
+        self._silence.heard(self._sync)
 
     def on_heartbeat(self, drive: Drive, data: bytes) -> bool:
         """Or its answer to life guarding, which has a toggle bit; whether that is trouble.
@@ -82,13 +87,13 @@ class Watch:
         self._lost.discard(drive)
         self._unheard.discard(drive)
 
-    def lost(self, now_us: float) -> list[Drive]:
+    def lost(self) -> list[Drive]:
         """To be brought up anew, until they are.
 
         Restarted, not operational, clock astray, or without their SYNC; once silent, as they may
         have restarted meanwhile; without something that was to be written to them; or in doubt.
         """
-        missing = self._time.producer if self._time.sync_missing(now_us) else None
+        missing = self._time.producer if self._sync_missing() else None
         self._lost |= {
             drive
             for drive in self._drives
@@ -102,6 +107,7 @@ class Watch:
     def clocks_begin(self) -> None:
         """All that were to be brought up anew have been; what their clocks were does not count."""
         self._lost.clear()
+        self._silence.heard(self._sync)
 
     # ------------------------------------------------------------------ what is wrong
 
@@ -109,13 +115,18 @@ class Watch:
         """Whether a drive is not heard any more, as far as the bus was listened to."""
         return self._time.running and self._silence.silent(self._places[drive])
 
+    def _sync_missing(self) -> bool:
+        """Whether the drive that should has sent no SYNC for long."""
+        watched = not self._time.produces and self._time.running
+        return watched and self._silence.silent(self._sync, self._time.sync_patience_us)
+
     def stopped_listening(self, drive: Drive) -> bool:
         """Whether a drive has left NMT operational, and is otherwise as it was brought up."""
         return drive.not_operational >= NOT_OPERATIONAL and not drive.restarted
 
-    def look(self, now_us: float, phase: Phase) -> bool:
+    def look(self, phase: Phase) -> bool:
         """Whether something is wrong that no frame tells: silence, and clocks that are off."""
-        wrong = self._time.sync_missing(now_us)
+        wrong = self._sync_missing()
         for drive in self._drives:
             if self.silent(drive):
                 self._unheard.add(drive)
@@ -126,7 +137,7 @@ class Watch:
                 wrong = True
         return wrong
 
-    def complaints(self, now_us: float, phase: Phase) -> str:
+    def complaints(self, phase: Phase) -> str:
         """What is wrong with the drives, axis by axis; "" if nothing."""
         words = []
         for drive in self._drives:
@@ -134,7 +145,7 @@ class Watch:
                 words.append(f"{drive} {away}")
             elif trouble := drive.trouble() or self._clock_trouble(drive, phase):
                 words.append(f"{drive}: {trouble}")
-        if self._time.producer is not None and self._time.sync_missing(now_us):
+        if self._time.producer is not None and self._sync_missing():
             words.append(f"no SYNC from {self._time.producer}")
         return "; ".join(words)
 

@@ -153,13 +153,14 @@ def test_only_our_own_frames_are_taken_for_echoes(vcan: str) -> None:
 
     lock = threading.RLock()
 
-    def post(job: Callable[[], None]) -> None:
+    def post(job: Callable[[], None]) -> bool:
         with lock:
             job()
+        return True
 
     ours, theirs = Frame(0x080), Frame(0x183, b"\x01")
     intake = Intake({}, {}, Rejects())
-    link = Link("socketcan", vcan, 1_000_000, intake, on_frame, print, print, post)
+    link = Link("socketcan", vcan, 1_000_000, intake, on_frame, print, print, post, post)
     link.probe()
     with can.Bus(vcan, "socketcan") as other:
         for frame in (theirs, ours, Frame(0x7FF)):  # a SYNC that we have not sent, too

@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 
+import can
 import numpy as np
 import pytest
 from two_processes import SCAN, Rig, rig
@@ -166,3 +167,22 @@ def test_a_call_that_the_drivers_thread_does_not_get_to_says_so(
     with pytest.raises(BusError, match=r"busy for 0\.1 s"):
         made.driver.snapshot()
     go_on.set()
+
+
+def test_what_waits_is_bounded_and_too_much_of_it_a_failure_of_the_bus(
+    made: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """While the driver's thread gets to nothing, somebody floods the bus."""
+    monkeypatch.setattr(reactor, "MOST_WAITING", 100)
+    go_on, link = threading.Event(), made.driver._link
+    assert link is not None
+    made.driver._reactor.post(lambda: go_on.wait(5.0) and None)
+    with can.Bus(link.name.removeprefix("virtual:"), "virtual") as stranger:
+        for number in range(300):
+            stranger.send(can.Message(arbitration_id=0x7E0, data=bytes([number & 0xFF])))
+    time.sleep(0.3)
+    assert made.driver._reactor._inbox.qsize() < 110
+    go_on.set()
+    snapshot = made.wait(lambda snapshot: snapshot.state == "fault")
+    assert "brings more than this computer gets to" in snapshot.reason
+    assert_comes_back(made)

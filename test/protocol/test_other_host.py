@@ -114,13 +114,15 @@ def test_a_bus_with_another_host_is_refused_and_not_disturbed(channel: str) -> N
 def test_nothing_is_sent_until_the_bus_was_listened_to(channel: str) -> None:
     lock = threading.RLock()
 
-    def post(job: Callable[[], None]) -> None:
+    def post(job: Callable[[], None]) -> bool:
         with lock:
             job()
+        return True
 
     intake = Intake({}, {}, Rejects())
     with can.Bus(channel, "virtual") as other:
-        link = Link("virtual", channel, 1_000_000, intake, lambda *_: None, print, print, post)
+        on = (lambda *_: None, print, print)
+        link = Link("virtual", channel, 1_000_000, intake, *on, post, post)
         try:
             post(lambda: link.send(HEARTBEAT))  # of a group that goes on while the bus is reopened
             assert other.recv(0.1) is None

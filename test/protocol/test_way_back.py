@@ -41,7 +41,7 @@ MOVE = Action("move", 0.0, 0.4, 2.0)
 def nmt(command: int, node: int = 1) -> Callable[[Stage], None]:
     def act(stage: Stage) -> None:
         stage.director.outbox.append((0, bytes((command, node))))
-        stage.run(0.4)
+        stage.run(1.2)  # for a second somebody else is taken to be there still
 
     return act
 
