@@ -21,8 +21,10 @@ import numpy as np
 from simulated_time import Bench, axes
 
 from epos2_ros.configuration.driver import DriverConfig
+from epos2_ros.motion.record import Record
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.protocol.frame import Frame
+from epos2_ros.protocol.pvt.axis import PvtAxis
 from epos2_ros.sim.can_bus import TransmitQueueFull
 from epos2_ros.sim.epos2 import Epos2
 
@@ -40,15 +42,18 @@ class Ledger:
     def __init__(self, made: Bench) -> None:
         self.arrived = 0
         self._sent: dict[int, deque[bytes]] = {drive.node_id: deque() for drive in made.drives}
-        take = made.feeder.next
+        for axis in made.machine.interpolated.axes:
+            self._note(axis)
 
-        def noting_next(path_ms: float) -> Frame | None:
-            frame = take(path_ms)
-            if frame is not None:
-                self._sent[frame.can_id - RECORD].append(frame.data)
-            return frame
+    def _note(self, axis: PvtAxis) -> None:
+        send, sent = axis.send, self._sent[axis.drive.node_id]
 
-        made.feeder.next = noting_next
+        def noting(record: Record, path_ms: float) -> list[Frame]:
+            frames = send(record, path_ms)
+            sent.extend(frame.data for frame in frames)
+            return frames
+
+        axis.send = noting  # type: ignore[method-assign]
 
     @property
     def on_the_way(self) -> int:

@@ -127,14 +127,15 @@ def latency(points: int) -> Row:
         reference = machine.path.place(trajectory, None, 0.0).join()
         joined_s = time.perf_counter()
         feeder.begin(reference)
-        served: set[int] = set()
+        served: set[str] = set()
         while len(served) < len(config.axes):
-            frame = feeder.next(0.0)
-            assert frame is not None
-            served.add(frame.can_id)
+            fed = feeder.next(0.0)
+            assert fed is not None
+            fed[0].send(fed[1], 0.0)
+            served.add(fed[0].drive.joint)
         first_s = time.perf_counter()
-        while feeder.next(0.0) is not None:
-            pass
+        while (fed := feeder.next(0.0)) is not None:
+            fed[0].send(fed[1], 0.0)
         filled_s = time.perf_counter()
         return first_s - begun_s, read_s - begun_s, joined_s - read_s, filled_s - first_s
 

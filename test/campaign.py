@@ -551,7 +551,7 @@ def _axis(node_id: int, axis: Axis) -> AxisConfig:
 
 def _drive(node_id: int, axis: Axis, scenario: Scenario) -> Any:
     if axis.family == "copley":
-        return Copley(node_id, drift_ppm=axis.drift_ppm)
+        return Copley(node_id, drift_ppm=axis.drift_ppm, offset_us=1e6 * node_id)
     if axis.family == "cl3e":
         return Cl3e(node_id, drift_ppm=axis.drift_ppm)
     note = {scenario.source, scenario.producer} != {"host"}
@@ -597,6 +597,34 @@ class Commanded:
         )
 
 
+class CommandedSegments(Commanded):
+    """Likewise by Copley's segments, which say their start; one may be handed over again."""
+
+    def __init__(self, start_qc: float) -> None:
+        super().__init__(start_qc)
+        self._first = self._count = self._lasts_ms = 0
+
+    def add(self, data: bytes) -> None:
+        """Counter and format, time u8, position i24, velocity i24; or a position i32 alone."""
+        counter, kind = data[0] & 7, data[0] >> 3
+        if data[0] & 0x80 or (self._count and counter != (self._first + self._count) % 8):
+            return  # a command, or one that was there before
+        self._first = self._first if self._count else counter
+        self._count += 1
+        if kind == 4:
+            self.knots[0] = int.from_bytes(data[1:5], "little", signed=True), 0.0
+            return
+        position = int.from_bytes(data[2:5], "little", signed=True)
+        if kind & 2:
+            position += round(self.knots[-1][0])
+        unit = 10.0 if kind & 1 else 0.1
+        velocity = int.from_bytes(data[5:8], "little", signed=True) * unit
+        if self._lasts_ms:
+            self.knots.append((position, velocity))
+            self.ends_ms.append(self.ends_ms[-1] + self._lasts_ms)
+        self._lasts_ms = data[1]
+
+
 class Watch:
     """Looks at every axis every SAMPLE_US."""
 
@@ -633,7 +661,11 @@ class Watch:
             place = (frame.can_id & 0x7F) - 1
             commanded = self.commanded[place]
             if commanded is None:
-                commanded = Commanded(self._stage.drives[place]._demand)
+                drive = self._stage.drives[place]
+                kind = CommandedSegments if isinstance(drive, Copley) else Commanded
+                if kind is CommandedSegments and frame.data[0] & 0x80:
+                    return
+                commanded = kind(drive._demand)
                 self.commanded[place] = commanded
             commanded.add(frame.data)
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
+from dataclasses import replace
 
 import numpy as np
 
@@ -29,6 +30,7 @@ from epos2_ros.protocol.outbox import Event, Poll, SdoRequest
 from epos2_ros.protocol.phase import Phase, follows
 from epos2_ros.protocol.sdo import SdoRead, SdoWrite
 from epos2_ros.sim.can_bus import Remote, SimulatedBus, TransmitQueueFull
+from epos2_ros.sim.copley import Copley
 from epos2_ros.sim.epos2 import Epos2
 
 SDO_PATIENCE_US = 300_000.0  # as long as canopen waits
@@ -45,6 +47,18 @@ def axes(count: int = 6, **changes: object) -> tuple[AxisConfig, ...]:
     )
 
 
+def makers(*families: str, **changes: object) -> tuple[AxisConfig, ...]:
+    """As `axes`, one for each of these drives."""
+    plain = axes(len(families), **changes)
+    return tuple(replace(axis, drive=drive) for axis, drive in zip(plain, families, strict=True))
+
+
+def drive_of(axis: AxisConfig, **settings: object) -> Epos2 | Copley:
+    """The simulated drive of an axis that follows records."""
+    kind = Copley if axis.drive == "copley" else Epos2
+    return kind(axis.node_id, **settings)  # type: ignore[arg-type]
+
+
 class Bench:
     """Driver side and drives on one simulated bus.
 
@@ -59,7 +73,7 @@ class Bench:
     def __init__(
         self,
         config: DriverConfig | None = None,
-        drives: Sequence[Epos2] | None = None,
+        drives: Sequence[Epos2 | Copley] | None = None,
         bring_up: bool = True,
         host_queue: int | None = None,
         bus: SimulatedBus | None = None,
@@ -68,7 +82,7 @@ class Bench:
         self.bus = bus or SimulatedBus(bitrate=self.config.bitrate, host_queue=host_queue)
         self.stamp_us: Callable[[float], float] = lambda t_us: t_us
         self.late_us: Callable[[], float] = lambda: 0.0
-        self.drives = list(drives or [Epos2(axis.node_id) for axis in self.config.axes])
+        self.drives = list(drives or map(drive_of, self.config.axes))
         for drive in self.drives if bus is None else ():
             self.bus.add(drive)
         self.machine = machine_of(self.config)

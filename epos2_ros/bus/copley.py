@@ -1,8 +1,8 @@
-"""What is a Copley drive's own in bring-up: its mode of motion is profile position."""
+"""What is a Copley drive's own in bring-up: it stands in interpolated position mode, by PVT."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 
 from epos2_ros.bus.cia402_node import Cia402Node
@@ -11,7 +11,7 @@ from epos2_ros.configuration.driver import AxisConfig
 from epos2_ros.errors import ConfigurationError, DriveError
 from epos2_ros.motion.trapezoid import MOST_JERK
 from epos2_ros.motion.units import INT32_MAX, AxisUnits, position_limits
-from epos2_ros.protocol import copley, epos2
+from epos2_ros.protocol import copley, copley_pvt, epos2
 
 
 @dataclass(frozen=True)
@@ -23,13 +23,14 @@ class CopleySettings:
     min_position_qc: int
     max_position_qc: int
     max_following_error_qc: int  # 0x2120
-    stop_deceleration_counts_s2: float | None = None  # 0x6085
+    stop_deceleration_counts_s2: float | None = None  # 0x6084, 0x6085
+    clock_master: int | None = None  # node id of the drive that is; None: the host
 
     @classmethod
-    def of(cls, axis: AxisConfig) -> CopleySettings:
+    def of(cls, axis: AxisConfig, clock_master: int | None = None) -> CopleySettings:
         """From the configuration in joint units."""
         units, stop = AxisUnits.of(axis), axis.stop_deceleration
-        speed = copley.MAX_SPEED * copley.VELOCITY_UNIT_COUNTS_S
+        speed = abs(units.to_qc_s(units.velocity_range))  # less than 0x6081 can hold
         acceleration = INT32_MAX * copley.ACCELERATION_UNIT_COUNTS_S2
         for parameter, unit, limit in (
             ("max_velocity", "/s", speed),
@@ -54,6 +55,7 @@ class CopleySettings:
             *position_limits(axis, margin_qc=1),
             axis.max_following_error,
             None if stop is None else abs(units.to_qc_s(stop)),
+            clock_master,
         )
 
 
@@ -62,7 +64,11 @@ class CopleyNode:
 
     def __init__(self, network: Network, settings: CopleySettings) -> None:
         self.settings = settings
-        self._access = Cia402Node(network, copley.FAMILY, settings.joint, settings.node_id)
+        family, master = copley.FAMILY, settings.clock_master
+        if master is not None:
+            rpdos = epos2.clock_slave_rpdo_mappings(copley.RPDO_MAPPINGS, master)
+            family = replace(family, rpdos=rpdos)
+        self._access = Cia402Node(network, family, settings.joint, settings.node_id)
         self.node = self._access.node
 
     def configure(self) -> int:
@@ -88,7 +94,8 @@ class CopleyNode:
             f"let it be commanded by CANopen, {self._access.objects.name(copley.DESIRED_STATE)}",
             "it would ignore commands of motion",
         )
-        write(epos2.MODES_OF_OPERATION, copley.MODE_PROFILE_POSITION)
+        write(epos2.MODES_OF_OPERATION, epos2.MODE_INTERPOLATED_POSITION)
+        write(epos2.INTERPOLATION_SUB_MODE, copley_pvt.INTERPOLATION_CUBIC)
         limits = f"check axes.{s.joint}.min_position and axes.{s.joint}.max_position"
         write(epos2.SOFTWARE_POSITION_LIMIT, s.min_position_qc, 1, check=limits)
         write(epos2.SOFTWARE_POSITION_LIMIT, s.max_position_qc, 2, check=limits)
@@ -100,7 +107,14 @@ class CopleyNode:
         if s.stop_deceleration_counts_s2 is not None:
             stop = max(1, round(s.stop_deceleration_counts_s2 / copley.ACCELERATION_UNIT_COUNTS_S2))
             check = f"check axes.{s.joint}.stop_deceleration"
+            write(epos2.PROFILE_DECELERATION, stop, check=check)
             write(epos2.QUICK_STOP_DECELERATION, stop, check=check)
+        mode = self._access.objects.read(epos2.MODES_OF_OPERATION_DISPLAY)
+        if mode != epos2.MODE_INTERPOLATED_POSITION:
+            raise DriveError(
+                f"{self._access} stays in mode {mode}, not interpolated position mode (7): check "
+                "its firmware, and that nothing else controls it"
+            )
 
     def _check_units(self) -> None:
         """Newer firmware has factors between counts and its units; older has none of them.

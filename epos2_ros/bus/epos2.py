@@ -43,7 +43,8 @@ def family_of(settings: Epos2Settings) -> Family:
         return epos2.FAMILY
     if master == settings.node_id:
         return replace(epos2.FAMILY, tpdos=epos2.CLOCK_MASTER_TPDO_MAPPINGS)
-    return replace(epos2.FAMILY, rpdos=epos2.clock_slave_rpdo_mappings(master))
+    rpdos = epos2.clock_slave_rpdo_mappings(epos2.RPDO_MAPPINGS, master)
+    return replace(epos2.FAMILY, rpdos=rpdos)
 
 
 class Epos2Node:

@@ -9,11 +9,11 @@ from epos2_ros.bus.copley import CopleyNode, CopleySettings
 from epos2_ros.bus.epos2 import Epos2Node
 from epos2_ros.bus.link import Network
 from epos2_ros.bus.sdo_client import RemoteNode
-from epos2_ros.bus.settings import drive_settings
+from epos2_ros.bus.settings import clock_master, drive_settings
 from epos2_ros.configuration.driver import AxisConfig, DriverConfig
 from epos2_ros.errors import ConfigurationError
 from epos2_ros.protocol import cl3e, copley, epos2
-from epos2_ros.protocol.families import FAMILIES
+from epos2_ros.protocol.families import FAMILIES, follows_records
 
 
 class DriveNode(Protocol):
@@ -37,6 +37,7 @@ def check(axis: AxisConfig, config: DriverConfig) -> None:
         raise ConfigurationError(
             f"axes.{axis.joint}.drive is {axis.drive!r}; it must be {' or '.join(FAMILIES)}"
         )
+    follows_records(axis)
     if axis.drive == copley.FAMILY.key:
         CopleySettings.of(axis)
     elif axis.drive == cl3e.FAMILY.key:
@@ -51,7 +52,7 @@ def node_of(network: Network, axis: AxisConfig, config: DriverConfig) -> DriveNo
         case epos2.FAMILY.key:
             return Epos2Node(network, drive_settings(axis, config))
         case copley.FAMILY.key:
-            return CopleyNode(network, CopleySettings.of(axis))
+            return CopleyNode(network, CopleySettings.of(axis, clock_master(config)))
         case cl3e.FAMILY.key:
             return Cl3eNode(network, Cl3eSettings.of(axis))
     raise AssertionError(axis.drive)

@@ -8,6 +8,7 @@ from epos2_ros.bus.epos2 import Epos2Settings
 from epos2_ros.configuration.driver import AxisConfig, DriverConfig
 from epos2_ros.motion.fit import FitAxis
 from epos2_ros.motion.units import PROFILE_ACCELERATION_RPM_S, AxisUnits, drive_limits
+from epos2_ros.protocol.families import FAMILIES
 from epos2_ros.protocol.machine import Machine
 from epos2_ros.protocol.pvt.feeder import STREAM_SEGMENT_MS
 
@@ -32,7 +33,14 @@ def drive_settings(axis: AxisConfig, config: DriverConfig) -> Epos2Settings:
     units = AxisUnits.of(axis)
     limits = drive_limits(axis, margin_qc=math.ceil(config.tolerance) + 1)
     stop = axis.stop_deceleration
-    master = _index(config, config.sync_source)
+
+    def velocity(headroom: float) -> int:  # 0x607F, 0x6081 [velocity units]
+        return units.velocity_object(_velocity(axis, config, headroom))
+
+    def acceleration(headroom: float) -> int | None:  # 0x60C5, 0x6083 [rpm/s]
+        value = _acceleration(axis, config, headroom)
+        return None if value is None else units.acceleration_object(value)
+
     return Epos2Settings(
         joint=axis.joint,
         node_id=axis.node_id,
@@ -40,21 +48,21 @@ def drive_settings(axis: AxisConfig, config: DriverConfig) -> Epos2Settings:
         max_following_error_qc=axis.max_following_error,
         min_position_qc=limits.min_position,
         max_position_qc=limits.max_position,
-        max_velocity=_velocity(axis, config, VELOCITY_HEADROOM),
-        warning_velocity=_velocity(axis, config, (1 + VELOCITY_HEADROOM) / 2),
-        max_acceleration_rpm_s=_acceleration(axis, config, ACCELERATION_HEADROOM),
-        warning_acceleration_rpm_s=_acceleration(axis, config, (1 + ACCELERATION_HEADROOM) / 2),
+        max_velocity=velocity(VELOCITY_HEADROOM),
+        warning_velocity=velocity((1 + VELOCITY_HEADROOM) / 2),
+        max_acceleration_rpm_s=acceleration(ACCELERATION_HEADROOM),
+        warning_acceleration_rpm_s=acceleration((1 + ACCELERATION_HEADROOM) / 2),
         stop_deceleration_rpm_s=(
             None if stop is None else units.acceleration_object(stop, "stop_deceleration")
         ),
         state_inhibit_us=config.state_inhibit_us,
         produces_sync=config.sync_producer == axis.joint,
-        clock_master=None if master is None else config.axes[master].node_id,
+        clock_master=clock_master(config),
     )
 
 
 def fit_axis(axis: AxisConfig, config: DriverConfig) -> FitAxis:
-    """What the search for records has to keep: what the drive enforces."""
+    """What the search for records has to keep: of an EPOS2 no more than what it enforces."""
     units = AxisUnits.of(axis)
     acceleration = _acceleration(axis, config, ACCELERATION_HEADROOM)
     if acceleration is None or axis.max_acceleration is None:
@@ -62,11 +70,11 @@ def fit_axis(axis: AxisConfig, config: DriverConfig) -> FitAxis:
         agility_rpm_s = (ACCELERATION_HEADROOM - 1) * PROFILE_ACCELERATION_RPM_S
         spare = agility_rpm_s / 60 * axis.counts_per_turn
     else:
-        most = acceleration / 60 * axis.counts_per_turn
+        most = abs(units.to_qc_s(acceleration))
         spare = most - abs(units.to_qc_s(axis.max_acceleration))
     return FitAxis(
-        units.velocity_unit_qc_s,
-        _velocity(axis, config, VELOCITY_HEADROOM) * units.velocity_unit_qc_s,
+        _unit_qc_s(axis),
+        abs(units.to_qc_s(_velocity(axis, config, VELOCITY_HEADROOM))),
         most,
         spare,
         config.least_velocity / 60 * axis.counts_per_turn,
@@ -78,32 +86,39 @@ def machine_of(config: DriverConfig) -> Machine:
     return Machine(config, lambda axis: fit_axis(axis, config))
 
 
-def _index(config: DriverConfig, joint: str) -> int | None:
-    """Which of the axes is meant; None: the host."""
-    return None if joint == "host" else [axis.joint for axis in config.axes].index(joint)
+def clock_master(config: DriverConfig) -> int | None:
+    """Node id of the drive that is it; None: the host."""
+    ids = (axis.node_id for axis in config.axes if axis.joint == config.sync_source)
+    return next(ids, None)
 
 
-def _velocity(axis: AxisConfig, config: DriverConfig, headroom: float) -> int:
-    """0x607F, 0x6081 [velocity units]; without a limit what the drive can hold."""
+def _unit_qc_s(axis: AxisConfig) -> float:
+    """The unit in which the velocities of its records are told."""
+    units, pvt = AxisUnits.of(axis), FAMILIES[axis.drive].pvt
+    assert pvt is not None
+    fastest = VELOCITY_HEADROOM * (axis.max_velocity or units.velocity_range)
+    return pvt.velocity_unit_qc_s(units, abs(units.to_qc_s(fastest)))
+
+
+def _velocity(axis: AxisConfig, config: DriverConfig, headroom: float) -> float:
+    """What an axis may reach [unit/s]; without a limit what its drive can hold."""
     units = AxisUnits.of(axis)
     most = units.velocity_range
     if axis.max_velocity is None:
-        return units.velocity_object(most)
-    rounding = 1.5 / _rounding_s(units, config) / abs(units.qc_per_unit)
-    return units.velocity_object(min(axis.max_velocity * headroom + rounding, most))
+        return most
+    rounding = 1.5 / _rounding_s(axis, config) / abs(units.qc_per_unit)
+    return min(axis.max_velocity * headroom + rounding, most)
 
 
-def _acceleration(axis: AxisConfig, config: DriverConfig, headroom: float) -> int | None:
-    """0x60C5, 0x6083 [rpm/s]; None leaves the drive's."""
+def _acceleration(axis: AxisConfig, config: DriverConfig, headroom: float) -> float | None:
+    """Likewise [unit/s²]; None: it has no limit."""
     if axis.max_acceleration is None:
         return None
-    units = AxisUnits.of(axis)
-    within_s = _rounding_s(units, config)
-    rounding_qc_s2 = units.velocity_unit_qc_s / within_s + 6 / within_s**2
-    rounding = rounding_qc_s2 / abs(units.qc_per_unit)
-    return units.acceleration_object(axis.max_acceleration * headroom + rounding)
+    within_s = _rounding_s(axis, config)
+    rounding_qc_s2 = _unit_qc_s(axis) / within_s + 6 / within_s**2
+    return axis.max_acceleration * headroom + rounding_qc_s2 / abs(AxisUnits.of(axis).qc_per_unit)
 
 
-def _rounding_s(units: AxisUnits, config: DriverConfig) -> float:
+def _rounding_s(axis: AxisConfig, config: DriverConfig) -> float:
     """The time within which what rounding takes has to be made up for."""
-    return min(ROUNDING_S, _SWAY * config.tolerance / units.velocity_unit_qc_s)
+    return min(ROUNDING_S, _SWAY * config.tolerance / _unit_qc_s(axis))

@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 from epos2_ros.bus.health import BusState
 from epos2_ros.motion.units import AxisUnits
-from epos2_ros.protocol.epos2 import BUFFER_SIZE
 from epos2_ros.protocol.identity import Identity
 from epos2_ros.protocol.machine import Machine
 from epos2_ros.protocol.outputs.outputs import Tally
@@ -31,13 +30,14 @@ class AxisSnapshot:
     free: int
     size: int
     buffered_ms: float
-    status_word: int  # 0x20C4-01
+    status_word: int  # 0x20C4-01 of an EPOS2, 0x2012 of a Copley drive
     fault: str
     following_error_qc: int | None  # None: this drive does not say
     clock_offset_us: float | None  # None: this drive has no clock that could be set
     clock_drift_ppm: float | None
     executed_qc: int | None  # position demand at the last SYNC
     records_sent: int
+    buffer_flags: Mapping[str, bool] = field(default_factory=dict)  # of that, by name
     homed: str = ""  # the method by which it was; "": it was not
     reserve_ms: float | None = None  # least time before an underflow, since the motion began
     silent_s: float = 0.0  # not heard for so long; 0 as long as it is heard
@@ -143,13 +143,14 @@ def axis_snapshots(
                 clock_drift_ppm=1e6 * float(clock.drift[index]),
             )
         if drive in followers:
-            account = followers[drive].account
+            account, pvt = followers[drive].account, followers[drive].buffer
             used = account.level(path_ms)
             snapshot = replace(
                 snapshot,
                 used=used,
-                free=BUFFER_SIZE - used,
-                size=BUFFER_SIZE,
+                free=account.size - used,
+                size=account.size,
+                buffer_flags=pvt.flags(drive.buffer_status, drive.statusword),
                 buffered_ms=max(0.0, account.ahead_ms(path_ms)),
                 reserve_ms=account.reserve_ms,
                 records_sent=account.sent,

@@ -234,6 +234,12 @@ AXIS: dict[str, Spec] = {
         0.0, "of halt and quick stop (0x6084, 0x6085) [unit/s²]; 0: the drive's own", 0.0, 1e9
     ),
     "max_following_error": Spec(2000, "[qc], object 0x6065", 1, 2**32 - 1),
+    "trajectory": Spec(
+        "",
+        "how the axis follows a trajectory: by PVT records (EPOS2, Copley), or profile: it moves "
+        "by ~/move_to only; '': the family's best",
+        choices=("", "pvt", "profile"),
+    ),
     "homing.method": Spec(
         "",
         "by name (current_threshold_negative, home_switch_positive_index, here, …), in the "
@@ -459,6 +465,7 @@ class DriverParameters:
             max_jerk=_finite(value("max_jerk")),
             stop_deceleration=value("stop_deceleration") or None,
             max_following_error=value("max_following_error"),
+            trajectory=value("trajectory"),
             homing=homing,
             path_tolerance=self.values[f"constraints.{joint}.trajectory"],
             goal_tolerance=self.values[f"constraints.{joint}.goal"],

@@ -11,7 +11,7 @@ from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.motion.trapezoid import Trapezoid, in_step
 from epos2_ros.motion.units import AxisUnits
 
-_MAKERS = {"copley": "Copley", "cl3e": "Nanotec"}
+_MAKERS = {"epos2": "maxon", "copley": "Copley", "cl3e": "Nanotec"}
 
 
 def target_of(message: Trajectory) -> tuple[dict[str, float], float]:
@@ -51,9 +51,10 @@ def refuse_trajectory(axes: Sequence[AxisConfig], joints: Sequence[str]) -> None
     """TrajectoryError if one of `joints` is among `axes`, which follow no trajectory."""
     for axis in axes:
         if axis.joint in joints:
+            chosen = f" (axes.{axis.joint}.trajectory)" if axis.trajectory else ""
             raise TrajectoryError(
                 f"joint '{axis.joint}' can't follow a trajectory: its {_MAKERS[axis.drive]} drive "
-                "moves in profile position mode, by ~/move_to",
+                f"moves in profile position mode, by ~/move_to{chosen}",
                 TrajectoryError.INVALID_JOINTS,
             )
 

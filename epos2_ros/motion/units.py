@@ -21,6 +21,8 @@ from epos2_ros.errors import ConfigurationError
 INT32_MIN, INT32_MAX = -(2**31), 2**31 - 1
 INT24_MAX = 2**23 - 1  # velocity field of an interpolation data record 0x20C1
 UINT32_MAX = 2**32 - 1
+FASTEST_QC_S = {"copley": INT24_MAX / 0.255}
+"""By the family of the drive: the longest segment is 24 bits long, at most (Copley, 0x2010)."""
 # Defaults of the drive, application note 3.7:
 MAX_PROFILE_VELOCITY_RPM = 25_000  # 0x607F
 PROFILE_ACCELERATION_RPM_S = 10_000  # 0x6083
@@ -48,6 +50,7 @@ class AxisUnits:
     qc_per_unit: float  # signed [qc/rad or qc/m]
     offset: float = 0.0  # joint position where the drive reads 0 [unit]
     velocity_notation: int = 0  # n of 10^n rpm
+    fastest_qc_s: float = math.inf  # what the records of another drive than an EPOS2 hold
 
     @classmethod
     def of(cls, axis: AxisConfig) -> AxisUnits:
@@ -62,7 +65,13 @@ class AxisUnits:
             unit, per_turn = "rad", 2 * math.pi
         scale = axis.direction * axis.counts_per_turn * axis.gear_ratio / per_turn
         return cls(
-            axis.joint, unit, axis.counts_per_turn, scale, axis.offset, axis.velocity_notation
+            axis.joint,
+            unit,
+            axis.counts_per_turn,
+            scale,
+            axis.offset,
+            axis.velocity_notation,
+            FASTEST_QC_S.get(axis.drive, math.inf),
         )
 
     def to_qc(self, position: Number) -> Number:
@@ -112,8 +121,10 @@ class AxisUnits:
     def velocity_range(self) -> float:
         """Largest joint speed a record and the drive can hold [unit/s].
 
-        The smaller of the drive's 25,000 rpm and what int24 holds in its velocity unit.
+        Of an EPOS2 the smaller of its 25,000 rpm and what int24 holds in its velocity unit.
         """
+        if self.fastest_qc_s < math.inf:
+            return abs(self.from_qc_s(self.fastest_qc_s))
         rpm = min(float(MAX_PROFILE_VELOCITY_RPM), INT24_MAX * 10.0**self.velocity_notation)
         return abs(self.from_rpm(rpm))
 

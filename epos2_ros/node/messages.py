@@ -16,7 +16,6 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from sensor_msgs.msg import JointState
 
 from epos2_ros.configuration.driver import ClockLimits
-from epos2_ros.protocol.epos2 import BufferStatus
 
 if TYPE_CHECKING:
     from epos2_ros.bus.snapshot import AxisSnapshot, JointStates, OutputSnapshot, Snapshot
@@ -36,7 +35,7 @@ def joint_state(states: JointStates, stamp: Time) -> JointState:
 
 
 def buffer_status(snapshot: Snapshot, channel: str, stamp: Time) -> DiagnosticArray:
-    """The interpolation buffer of each drive; the flags are those of object 0x20C4-01."""
+    """The interpolation buffer of each drive; the flags are named after 0x20C4-01."""
     return _array(stamp, (_buffer_of(axis, channel) for axis in snapshot.axes if axis.size))
 
 
@@ -57,7 +56,7 @@ def diagnostics(
 
 
 def _buffer_of(axis: AxisSnapshot, channel: str) -> DiagnosticStatus:
-    flags = {name: bool(axis.status_word & bit) for name, bit in BufferStatus.FLAGS.items()}
+    flags = axis.buffer_flags
     errors = [name for name, on in flags.items() if on and name.endswith("_error")]
     # An axis that stands has no records to run out of, and says so for ever.
     active = flags["ip_mode_active"]

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epos2_ros.bus.cia402_node import DRIVE_HEARTBEAT_MS
-from epos2_ros.bus.settings import drive_settings, machine_of
+from epos2_ros.bus.nodes import check
+from epos2_ros.bus.settings import machine_of
 from epos2_ros.bus.transmitter import worst_case_bits
 from epos2_ros.configuration.driver import AxisConfig, DriverConfig
 from epos2_ros.motion.crossings import Path
@@ -29,7 +30,10 @@ from epos2_ros.motion.reference import Reference
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.motion.units import AxisUnits
 from epos2_ros.plan.outputs import OutputPlans
-from epos2_ros.protocol import epos2
+from epos2_ros.protocol.epos2 import POSITION_ACTUAL, RPDO1
+from epos2_ros.protocol.families import FAMILIES, follows_records
+from epos2_ros.protocol.frame import Frame
+from epos2_ros.protocol.pdo import SYNCHRONOUS
 from epos2_ros.protocol.phase import Phase
 from epos2_ros.protocol.timekeeper import HEARTBEAT_PERIOD_US
 
@@ -62,8 +66,9 @@ class AxisPlan:
 
     config: AxisConfig
     units: AxisUnits
+    velocity_unit_qc_s: float  # of the records
     start_qc: int  # where it stands
-    records: tuple[Record, ...]  # as sent; the last, of time 0, ends the motion
+    records: tuple[Record, ...]  # the last, of time 0, ends the motion
     reference: Reference
     column: int  # of the axis in the reference
 
@@ -71,7 +76,7 @@ class AxisPlan:
         """The whole motion, so much of it at a time that memory does not grow with its length."""
         start_qc, velocity, begin_ms = self.start_qc, 0, 0
         for records in _batches(self.records):
-            drive = executed(start_qc, records, self.units.velocity_unit_qc_s, velocity)
+            drive = executed(start_qc, records, self.velocity_unit_qc_s, velocity)
             k = begin_ms + np.arange(len(drive.position_qc))
             commanded_qc = self.reference.positions(k)[:, self.column]
             yield Piece(k, drive, np.asarray(drive.position_qc - commanded_qc))
@@ -86,6 +91,15 @@ class AxisPlan:
         k, *curves, error_qc = (np.concatenate(columns) for columns in zip(*parts, strict=True))
         return Piece(k, Executed(*curves), error_qc)
 
+    def frames(self) -> Iterator[Frame]:
+        """What carries each of its records to a drive whose buffer is as after power-on."""
+        pvt = FAMILIES[self.config.drive].pvt
+        assert pvt is not None
+        account = pvt.account(self.velocity_unit_qc_s, 0)
+        for record in self.records:
+            yield Frame(RPDO1 + self.config.node_id, account.send(record, 0.0)[-1])
+            account.assume_received()
+
     @cached_property
     def extremes(self) -> tuple[float, float, float]:
         """Lowest and highest position [unit], and largest error [qc]."""
@@ -99,7 +113,7 @@ class AxisPlan:
     @property
     def peaks(self) -> tuple[float, float]:
         """Largest speed [unit/s] and acceleration [unit/s²] anywhere on the segments."""
-        cubic, time_ms = segments(self.start_qc, self.records, self.units.velocity_unit_qc_s)
+        cubic, time_ms = segments(self.start_qc, self.records, self.velocity_unit_qc_s)
         tops = (np.max(top, initial=0.0) for top in cubic.extremes(time_ms * 1e-3))
         velocity, acceleration = (abs(self.units.from_qc_s(float(top))) for top in tops)
         return velocity, acceleration
@@ -182,12 +196,12 @@ def make_plan(trajectory: Trajectory, config: DriverConfig, start: Sequence[floa
     Raises what the driver raises: ConfigurationError for a wrong parameter, TrajectoryError for a
     trajectory that is refused.
     """
-    beside = [axis for axis in config.axes if axis.drive != "epos2"]
+    for axis in config.axes:
+        check(axis, config)
+    beside = [axis for axis in config.axes if not follows_records(axis)]
     refuse_trajectory(beside, trajectory.joint_names)
     whole, config = config, replace(config, axes=tuple(a for a in config.axes if a not in beside))
     machine = machine_of(config)
-    for axis in config.axes:
-        drive_settings(axis, config)
     starts_qc = standing(trajectory, config, start)
     for drive, start_qc in zip(machine.drives, starts_qc, strict=True):
         drive.demand_qc = start_qc
@@ -201,18 +215,29 @@ def make_plan(trajectory: Trajectory, config: DriverConfig, start: Sequence[floa
     sent_ms: list[float] = []
     ready_us: list[float] = []  # when each of the records before the start is there to be sent
     while (due_ms := feeder.due_ms) < math.inf:
-        frame = feeder.next(due_ms)
-        assert frame is not None
-        by_node[frame.can_id - epos2.RPDO1].append(Record.unpack(frame.data))
+        fed = feeder.next(due_ms)
+        assert fed is not None
+        follower, record = fed
+        follower.send(record, due_ms)
+        follower.account.assume_received()
+        by_node[follower.drive.node_id].append(record)
         sent_ms.append(max(due_ms, 0.0))
         if due_ms <= 0:
             ready_us.append((time.perf_counter() - begun_s) * 1e6)
 
     axes = tuple(
         AxisPlan(
-            axis, AxisUnits.of(axis), start_qc, tuple(by_node[axis.node_id]), reference, column
+            axis,
+            AxisUnits.of(axis),
+            follower.fit.velocity_unit_qc_s,
+            start_qc,
+            tuple(by_node[axis.node_id]),
+            reference,
+            column,
         )
-        for column, (axis, start_qc) in enumerate(zip(config.axes, starts_qc, strict=True))
+        for column, (axis, follower, start_qc) in enumerate(
+            zip(config.axes, machine.interpolated.axes, starts_qc, strict=True)
+        )
     )
     return Plan(
         trajectory,
@@ -232,13 +257,26 @@ def make_plan(trajectory: Trajectory, config: DriverConfig, start: Sequence[floa
 def _bus_load(
     config: DriverConfig, axes: Sequence[AxisPlan], sent_ms: Array, end_ms: int
 ) -> BusLoad:
-    """A drive reports its position at the state rate (TPDO2), answers each SYNC twice (TPDO3,
-    TPDO4), and is asked twice in the buffer time what its buffer holds (SDO, there and back)."""
+    """A drive answers each SYNC by its synchronous PDOs, and is asked twice in the buffer time what
+    its buffer holds (SDO, there and back). Its position comes at the state rate where it is no
+    such answer; what its buffer has taken, for each record where that is in a PDO."""
     count, end_s = len(axes), max(end_ms, 1) / 1000
     window_s = min(end_s, 1.0)
+    pdos_per_s = count * 2 * 2 / config.buffer_time
+    for axis in axes:
+        family = FAMILIES[axis.config.drive]
+        assert family.pvt is not None
+        status = family.pvt.status.index, family.pvt.status.subindex
+        for tpdo in family.tpdos:
+            if tpdo.transmission_type == SYNCHRONOUS:
+                pdos_per_s += 1 / config.sync_period
+            elif (POSITION_ACTUAL, 0) in tpdo.objects:
+                pdos_per_s += config.state_rate
+            elif status in tpdo.objects:
+                pdos_per_s += len(axis.records) / end_s
     bits_per_s = (
-        count * (config.state_rate + 2 * 2 / config.buffer_time) * PDO_BITS
-        + (SYNC_BITS + count * (STAMP_BITS + 2 * PDO_BITS)) / config.sync_period
+        pdos_per_s * PDO_BITS
+        + (SYNC_BITS + count * STAMP_BITS) / config.sync_period
         + HEARTBEAT_BITS * (1e6 / HEARTBEAT_PERIOD_US + count * 1e3 / DRIVE_HEARTBEAT_MS)
     )
     at_ms = np.sort(sent_ms)

@@ -91,7 +91,7 @@ class Knots(NamedTuple):
         every = 1 + len(rows) // DRAWN
         position, velocity = np.array(rows[::every], dtype=np.float64).T
         commanded_qc = axis.reference.positions(knots_ms[::every])[:, axis.column]
-        curves = position, velocity * axis.units.velocity_unit_qc_s
+        curves = position, velocity * axis.velocity_unit_qc_s
         return cls(knots_ms[::every] / 1000, curves, position - commanded_qc)
 
 

@@ -20,6 +20,7 @@ from epos2_ros.plan import report
 from epos2_ros.plan.move import make_move_plan
 from epos2_ros.plan.outputs import OutputPlans, write_csv
 from epos2_ros.plan.planning import make_plan
+from epos2_ros.protocol.families import follows_records
 
 DRAWINGS = (".png", ".svg", ".html")
 
@@ -105,7 +106,7 @@ def _plan(trajectory: Trajectory, name: str, arguments: argparse.Namespace) -> N
 
 def _moves(trajectory: Trajectory, config: DriverConfig) -> bool:
     """Whether it is a message for `~/move_to`."""
-    beside = {axis.joint for axis in config.axes if axis.drive != "epos2"}
+    beside = {axis.joint for axis in config.axes if not follows_records(axis)}
     return len(trajectory.times_s) == 1 and set(trajectory.joint_names) <= beside
 
 
@@ -163,7 +164,7 @@ def _arguments(argv: Sequence[str]) -> argparse.Namespace:
         prog="epos2_ros plan",
         description="What the driver would make of a trajectory: the records of each axis, their "
         "error and extremes, what position-triggered outputs fire, the load of the bus. One point "
-        "for joints on Copley drives is a move (~/move_to). Needs neither a bus nor ROS.",
+        "for joints that follow no trajectory is a move (~/move_to). Needs neither a bus nor ROS.",
     )
     parser.add_argument(
         "trajectory",

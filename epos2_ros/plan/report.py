@@ -14,7 +14,6 @@ from epos2_ros.plan import move, outputs
 from epos2_ros.plan.move import MovePlan
 from epos2_ros.plan.outputs import OutputPlans
 from epos2_ros.plan.planning import AxisPlan, Plan
-from epos2_ros.protocol.epos2 import RPDO1
 
 HEADINGS = (
     *("axis", "records", "per s", "error [qc]", "position from", "to", "allowed"),
@@ -84,13 +83,13 @@ def write_csv(plan: Plan, file: TextIO) -> None:
     table = csv.writer(file)
     table.writerow(CSV_COLUMNS)
     for axis in plan.axes:
-        joint, can_id = axis.config.joint, RPDO1 + axis.config.node_id
+        joint = axis.config.joint
         table.writerow((joint, 0, 0, axis.start_qc, 0, 0, ""))
         path_ms = 0
-        for number, record in enumerate(axis.records, start=1):
+        for number, (record, frame) in enumerate(zip(axis.records, axis.frames(), strict=True), 1):
             path_ms += record.time
-            frame = f"{can_id:03X}#{record.pack().hex().upper()}"
-            table.writerow((joint, number, path_ms, *record, frame))
+            text = f"{frame.can_id:03X}#{frame.data.hex().upper()}"
+            table.writerow((joint, number, path_ms, *record, text))
 
 
 def rows(plan: Plan) -> list[tuple[str, ...]]:

@@ -20,7 +20,6 @@ from __future__ import annotations
 
 from epos2_ros.motion.units import AxisUnits
 from epos2_ros.protocol import epos2, homing_methods
-from epos2_ros.protocol.copley import TPDO_MAPPINGS
 from epos2_ros.protocol.family import Family, Field
 from epos2_ros.protocol.pdo import ASYNCHRONOUS, SYNCHRONOUS, PdoMapping
 
@@ -75,7 +74,15 @@ FAMILY = Family(
         PdoMapping(2, epos2.RPDO2, SYNCHRONOUS, ((epos2.CONTROLWORD, 0),)),
         PdoMapping(4, epos2.RPDO4, ASYNCHRONOUS, ((epos2.CONTROLWORD, 0),)),
     ),
-    tpdos=TPDO_MAPPINGS,
+    tpdos=(
+        PdoMapping(1, epos2.TPDO1, ASYNCHRONOUS, ((epos2.STATUSWORD, 0),)),
+        PdoMapping(
+            2, epos2.TPDO2, SYNCHRONOUS, ((epos2.POSITION_ACTUAL, 0), (epos2.VELOCITY_ACTUAL, 0))
+        ),
+        PdoMapping(
+            3, epos2.TPDO3, SYNCHRONOUS, ((epos2.STATUSWORD, 0), (epos2.POSITION_DEMAND, 0))
+        ),
+    ),
     fields={
         (epos2.STATUSWORD, 0): Field("H", "statusword"),
         (epos2.POSITION_ACTUAL, 0): Field("i", "position_qc"),
@@ -97,6 +104,7 @@ FAMILY = Family(
     jerk_objects=tuple((PROFILE_JERK, subindex) for subindex in range(1, 5)),
     home_objects=homing_methods.shifted_zero,
     homing_methods=homing_methods.STANDARD,
+    pvt=None,
     has_clock=False,
     life_guarding=True,
 )

@@ -133,6 +133,11 @@ class Drive:
         self.latched = latched
         return frozenset({(read.index, read.subindex)})
 
+    def objects_of(self, cob_id: int) -> frozenset[tuple[int, int]]:
+        """What its PDO with this COB-ID carries; nothing if it is none of its PDOs."""
+        layout = self._layouts.get(cob_id)
+        return frozenset() if layout is None else layout.objects
+
     def measured_us(self, inhibit_us: float) -> float:
         """The newest time at which it was at `position_qc`; -inf: it has not said yet.
 
@@ -199,7 +204,8 @@ class Drive:
         words = []
         if self.emergency:
             words.append(self.family.describe_emergency(self.emergency))
-        if errors := epos2.describe_buffer_errors(self.buffer_status):
+        pvt = self.family.pvt
+        if pvt is not None and (errors := pvt.describe_errors(self.buffer_status)):
             words.append(errors)
         if not words and self.statusword & cia402.FAULT_BIT:
             words.append(self.state.value)

@@ -36,8 +36,9 @@ import math
 import struct
 
 from epos2_ros.protocol import homing_methods
-from epos2_ros.protocol.family import Family, Field
+from epos2_ros.protocol.family import Family, Field, PvtBuffer
 from epos2_ros.protocol.pdo import ASYNCHRONOUS, SYNCHRONOUS, PdoMapping
+from epos2_ros.protocol.pvt.counted import CountedRecords
 from epos2_ros.protocol.sdo import SdoRead, SdoWrite
 
 VENDOR_ID = 0x000000FB
@@ -143,10 +144,12 @@ CLOCK_MASTER_TPDO_MAPPINGS = (
 )
 
 
-def clock_slave_rpdo_mappings(master_id: int) -> tuple[PdoMapping, ...]:
+def clock_slave_rpdo_mappings(
+    rpdos: tuple[PdoMapping, ...], master_id: int
+) -> tuple[PdoMapping, ...]:
     """Of a drive that follows the clock of another, the node `master_id`."""
     stamp = PdoMapping(3, TPDO3, ASYNCHRONOUS, ((HIGH_RESOLUTION_TIME_STAMP, 0),), master_id)
-    return (*RPDO_MAPPINGS[:2], stamp, *RPDO_MAPPINGS[3:])
+    return tuple(stamp if rpdo.number == stamp.number else rpdo for rpdo in rpdos)
 
 
 EMCY_LAYOUT = struct.Struct("<HB5s")
@@ -270,6 +273,21 @@ FAMILY = Family(
     motion_units=lambda units: (units.velocity_unit_qc_s, units.counts_per_turn / 60, math.nan),
     home_objects=home_objects,
     homing_methods=homing_methods.EPOS2,
+    pvt=PvtBuffer(
+        cycle_us=1000.0,
+        free_cycles=False,
+        velocity_unit_qc_s=lambda units, fastest_qc_s: units.velocity_unit_qc_s,
+        account=lambda velocity_unit_qc_s, status: CountedRecords(BUFFER_SIZE),
+        status=FREE_RECORDS,
+        empty=tuple(
+            SdoWrite.integer(INTERPOLATION_DATA_CONFIGURATION, BUFFER_CLEAR_SUBINDEX, value, 1)
+            for value in (0, 1)
+        ),
+        describe_errors=describe_buffer_errors,
+        flags=lambda status, statusword: {
+            name: bool(status & bit) for name, bit in BufferStatus.FLAGS.items()
+        },
+    ),
     has_clock=True,
     backs_off=True,
     referenced_bit=REFERENCED,

@@ -9,7 +9,8 @@ from typing import NamedTuple
 from epos2_ros.motion.units import AxisUnits
 from epos2_ros.protocol.homing_methods import Method
 from epos2_ros.protocol.pdo import PdoMapping
-from epos2_ros.protocol.sdo import SdoWrite
+from epos2_ros.protocol.pvt.buffer_account import BufferAccount
+from epos2_ros.protocol.sdo import SdoRead, SdoWrite
 
 
 class Field(NamedTuple):
@@ -17,6 +18,26 @@ class Field(NamedTuple):
 
     code: str
     name: str
+
+
+@dataclass(frozen=True, eq=False)
+class PvtBuffer:
+    """How one maker's drives follow records: what their buffer takes, and what it says of itself.
+
+    Every family's records make the same curve, a cubic between knots. `status` is the object that
+    says what is in the buffer, here always as that number.
+    """
+
+    cycle_us: float  # of its control loop, of which a position demand is …
+    free_cycles: bool  # … and which does not go by the path's clock
+    velocity_unit_qc_s: Callable[[AxisUnits, float], float]  # of records; of the fastest [qc/s]
+    account: Callable[[float, int], BufferAccount]  # of a motion: velocity unit, status at rest
+    status: SdoRead
+    describe_errors: Callable[[int], str]  # of a status that an axis can't go on with; "": none
+    flags: Callable[[int, int], Mapping[str, bool]]  # by the keys of ~/buffer_status; statusword
+    empty: tuple[SdoWrite, ...] = ()  # what empties it at rest, by SDO …
+    remedy: Callable[[int], bytes] | None = None  # … or the next command (RPDO1) to that end
+    pause_us: float = 0.0  # that a command takes
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +61,7 @@ class Family:
     motion_units: Callable[[AxisUnits], tuple[float, float, float]]  # [qc/s], [qc/s²], [qc/s³]
     home_objects: Callable[[int, int], tuple[SdoWrite, ...]]  # of position and back-off [qc]
     homing_methods: Mapping[int, Method]  # 0x6098
+    pvt: PvtBuffer | None  # None: they follow no records
     has_clock: bool  # high resolution time stamp (0x1013): it can be kept in step with the others
     backs_off: bool = False  # after homing, by `homing.back_off`
     jerk_objects: tuple[tuple[int, int], ...] = ()  # that limit the jerk of a profile; none: ()

@@ -137,7 +137,7 @@ class Group:
     def _on_echo(self, drive: Drive, frame: Frame, t_us: float) -> None:
         function = frame.can_id & 0x780
         if function == epos2.RPDO1:
-            self._rest[drive].on_echo(drive, t_us)
+            self._rest[drive].on_echo(drive, frame.data, t_us)
         elif function == epos2.RPDO2:
             self._words.on_echo(drive.node_id)
         elif function == epos2.RPDO3:
@@ -618,6 +618,11 @@ class Group:
 
     def _finish_readying(self) -> None:
         if self._unanswered():
+            return
+        ready = [mode.unready(drive, self._now_us) for drive, mode in self._rest.items()]
+        if unready := next(filter(None, ready), ""):
+            if self._now_us > self._phase_us + READY_TIMEOUT_US:
+                self._settle_fault(f"{self.phase.value}: {unready}")
             return
         for drive in [d for d in self._held if not self._rest[d].resumes]:
             del self._held[drive]

@@ -18,7 +18,7 @@ from epos2_ros.motion.move import moves
 from epos2_ros.motion.units import AxisUnits
 from epos2_ros.protocol import epos2
 from epos2_ros.protocol.drive import Drive, DriveSetup
-from epos2_ros.protocol.families import FAMILIES
+from epos2_ros.protocol.families import FAMILIES, follows_records
 from epos2_ros.protocol.frame import Frame
 from epos2_ros.protocol.group import Group
 from epos2_ros.protocol.homing_methods import find
@@ -33,7 +33,6 @@ from epos2_ros.protocol.phase import End
 from epos2_ros.protocol.pvt.axis import PvtAxis
 from epos2_ros.protocol.pvt.buffer_reads import BufferReads
 from epos2_ros.protocol.pvt.feeder import Feeder
-from epos2_ros.protocol.pvt.path_audit import PathAudit
 from epos2_ros.protocol.timekeeper import Timekeeper
 
 
@@ -56,9 +55,10 @@ class Machine:
             [drive for drive in self.drives if drive.family.life_guarding],
         )
         self.path_time = PathTime(self.time.clock, config.sync_source == "host")
-        followers = [axis for axis in config.axes if axis.drive == epos2.FAMILY.key]
+        followers = [axis for axis in config.axes if follows_records(axis)]
+        period_us = config.sync_period * 1e6
         self.interpolated = self._interpolated(
-            [PvtAxis(by_joint[a.joint], fit_of(a), self._audit(fit_of(a))) for a in followers]
+            [PvtAxis(by_joint[a.joint], fit_of(a), config.tolerance, period_us) for a in followers]
         )
         self.movers = tuple(axis for axis in config.axes if axis not in followers)
         self.profile = Profile(self.drives, self.out)
@@ -79,10 +79,6 @@ class Machine:
             replace(config, axes=tuple(followers)),
             self.move_to,
         )
-
-    def _audit(self, fit: FitAxis) -> PathAudit:
-        config = self.config
-        return PathAudit(fit.velocity_unit_qc_s, config.tolerance, config.sync_period * 1e6)
 
     def _interpolated(self, axes: list[PvtAxis]) -> Interpolated:
         config = self.config

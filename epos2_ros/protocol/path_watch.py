@@ -1,8 +1,8 @@
 """From the frames on the bus to the path that each axis has executed, piece by piece.
 
 At every SYNC a drive says where its axis is; what the axis was to do in between is known from the
-records that were sent (EPOS2, interpolated position mode) or from the move that was started
-(profile position mode).
+records that were sent (interpolated position mode) or from the move that was started (profile
+position mode).
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from epos2_ros.protocol.phase import IN_MOTION, Phase
 from epos2_ros.protocol.pvt.axis import PvtAxis
 from epos2_ros.protocol.pvt.buffer_account import BufferAccount
 
+_DEMAND = (epos2.POSITION_DEMAND, 0)
 _ON_THE_PATH = IN_MOTION | {Phase.STANDING}
 
 
@@ -49,15 +50,13 @@ class RecordPathWatch:
         self._zero_us = 0.0  # where it begins
         self._sync_us: float | None = None
         self._age_us = 0.0  # of what the drive says at a SYNC
+        axis.watchers.append(self._on_record)
 
     def receive(self, frame: Frame, t_us: float, echo: bool) -> Path | None:
         """The piece of path that this frame completes, if any."""
-        node = self._drive.node_id
-        if echo and frame.can_id == epos2.RPDO1 + node:
-            self._on_record(Record.unpack(frame.data))
-        elif frame.can_id == epos2.SYNC:
+        if frame.can_id == epos2.SYNC:
             self._on_sync(t_us)
-        elif not echo and frame.can_id == epos2.TPDO4 + node:
+        elif not echo and _DEMAND in self._drive.objects_of(frame.can_id):
             return self._on_sample()
         return None
 
@@ -94,7 +93,9 @@ class RecordPathWatch:
             when_us = demand.when(demand_qc, self._sync_us)
             if when_us is not None:
                 self._age_us = self._sync_us - when_us
-        position = demand_qc - (self._drive.following_error_qc or 0)
+        error_qc, position = self._drive.following_error_qc, self._drive.position_qc
+        if error_qc is not None or position is None:
+            position = demand_qc - (error_qc or 0)
         return self.executed.sample(self._sync_us - self._age_us, position, 0.0, demand)
 
 

@@ -248,14 +248,14 @@ class Copley(Slave):
         return self._shaft
 
     def demand_now(self) -> tuple[float, float]:
-        return self._demand(self.now_us)
+        return self._demand_at(self.now_us)
 
     def follow(self, profile: Profile) -> None:
         self._follow_profile(profile)
         self._dirty = True
 
     def rename(self, shift: float) -> None:
-        position, velocity = self._demand(self.now_us)
+        position, velocity = self._demand_at(self.now_us)
         self._shaft += shift
         self.extrapolated += shift
         self._commanded = position + shift
@@ -274,7 +274,12 @@ class Copley(Slave):
     @property
     def position_demand(self) -> int:
         """0x6062."""
-        return round(self._commanded)
+        return round(self._demand)
+
+    @property
+    def _demand(self) -> float:
+        """It, not rounded."""
+        return self._commanded
 
     @property
     def executed(self) -> list[tuple[int, float]]:
@@ -739,7 +744,7 @@ class Copley(Slave):
     def _go_to(self, target: int) -> None:
         if not self._speed.value:
             return  # READING: with a profile velocity of 0, the EDS' default, no move begins
-        position, velocity = self._demand(self.now_us)
+        position, velocity = self._demand_at(self.now_us)
         if self._profile_type.value == JERK_LIMITED:
             self._follow_profile(self._jerk_limited(position, velocity, target))
             return
@@ -763,7 +768,7 @@ class Copley(Slave):
         return _Smooth(ramps.move(state, target if self._jerk.value else position, 0.0, limits)[0])
 
     def _decelerate(self, deceleration: Entry) -> None:
-        position, velocity = self._demand(self.now_us)
+        position, velocity = self._demand_at(self.now_us)
         self._follow_profile(stop(position, velocity, deceleration.value * ACCELERATION_UNIT))
 
     def _follow_profile(self, profile: Profile) -> None:
@@ -772,7 +777,7 @@ class Copley(Slave):
             self._loop_us = self.now_us
             self._tick_us = self.now_us + LOOP_US / self.rate
 
-    def _demand(self, t_us: float) -> tuple[float, float]:
+    def _demand_at(self, t_us: float) -> tuple[float, float]:
         """Commanded position and velocity [counts, counts/ms]."""
         if self._path is not None:
             return self._path.at(max((t_us - self._origin_us) / 1000 * self.rate, 0.0))
@@ -817,7 +822,7 @@ class Copley(Slave):
             return
         if self._path is not None:
             self._follow_path()
-        self._commanded, velocity = self._demand(self.now_us)
+        self._commanded, velocity = self._demand_at(self.now_us)
         if self._follow < 1.0:
             step = (self._commanded - self._shaft) * self._follow
             self._shaft += step

@@ -50,8 +50,9 @@ def test_comes_up_moves_and_is_off_its_factory_pdos() -> None:
     assert od[0x2120, 0].value == 1234
     assert (od[0x100C, 0].value, od[0x100D, 0].value, od[0x1017, 0].value) == (100, 5, 0)
     valid = [n for n, pdo in enumerate(drive.rpdos, 1) if pdo.valid]
-    assert valid == [2, 4]
-    assert [n for n, pdo in enumerate(drive.tpdos, 1) if pdo.valid] == [1, 2, 3]
+    assert valid == [1, 2, 3, 4]
+    assert [n for n, pdo in enumerate(drive.tpdos, 1) if pdo.valid] == [1, 2, 3, 4]
+    assert (od[0x6060, 0].value, od[0x60C0, 0].value) == (7, -2)
 
 
 def test_nothing_is_written_that_the_maker_does_not_have() -> None:
@@ -112,10 +113,10 @@ def test_other_factors_are_refused_in_words(factors: dict[int, tuple[int, int]])
 
 
 def test_limits_that_its_signed_objects_do_not_hold_are_refused() -> None:
-    counts = 2000 / 6.283185307179586
+    fastest = (2**23 - 1) / 0.255 / (2000 / 6.283185307179586)  # its longest segment has 24 bits
     with pytest.raises(ConfigurationError, match="axes.z1.max_velocity"):
-        bench(Copley(2), max_velocity=50e6 / counts * 1.01)
-    bench(Copley(2), max_velocity=50e6 / counts * 0.99)
+        bench(Copley(2), max_velocity=fastest * 1.01)
+    bench(Copley(2), max_velocity=fastest * 0.99)
 
 
 class Refusing(Copley):

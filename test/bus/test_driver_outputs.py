@@ -27,7 +27,10 @@ from epos2_ros.sim.realtime import now_us
 BELT: dict[str, Any] = {
     "type": "prismatic", "counts_per_turn": 2000, "gear_ratio": 100.0, "lead": 0.1,
 }  # fmt: skip
-COPLEY: dict[str, Any] = {"drive": "copley", "max_velocity": 0.2, "max_acceleration": 1.0, **BELT}
+COPLEY: dict[str, Any] = {
+    "drive": "copley", "trajectory": "profile", "max_velocity": 0.2, "max_acceleration": 1.0,
+    **BELT,
+}  # fmt: skip
 
 
 def parameters(**given: Any) -> DriverParameters:
@@ -183,14 +186,14 @@ def test_copley_drives_alone_move_and_tell_their_events() -> None:
         assert bench.driver.snapshot().state == "disabled"
 
 
-def test_a_joint_on_a_copley_drive_follows_no_trajectory() -> None:
+def test_a_joint_that_is_moved_by_profiles_follows_no_trajectory() -> None:
     with Bench("outputs3") as bench:
         move = Trajectory(("x", "z"), np.array([0.0, 1.0]), np.zeros((2, 2)), np.zeros((2, 2)))
         with pytest.raises(TrajectoryError) as refused:
             bench.driver.submit(move)
     assert str(refused.value) == (
         "joint 'z' can't follow a trajectory: its Copley drive moves in profile position mode, "
-        "by ~/move_to"
+        "by ~/move_to (axes.z.trajectory)"
     )
 
 
@@ -233,7 +236,7 @@ def test_what_may_go_wrong_is_said_before_the_motion() -> None:
     assert "the axis stops or turns at 0.02 m, within 2 counts of an output" in stops
     # ½ · 200,000,000 counts/s² · (250 µs)² = 6.25 counts
     size = next(text for text in warnings if "extrapolated" in text)
-    assert size.startswith("compare.laser: the encoder is extrapolated: outputs fire up to 6.2")
+    assert size.startswith("compare.laser: the encoder is extrapolated: outputs fire up to 6.")
     assert kinds.index("warning") < kinds.index("done")
 
 
@@ -276,16 +279,15 @@ def test_a_difference_from_the_prediction_is_a_diagnostic() -> None:
         ("reported in last motion", "199"),
         ("farthest from predicted time [us]", "+0"),
     ]
-    # A Copley drive has no clock that is set, and does not report its following error.
+    # A Copley drive does not report its following error.
     keys = {name: {pair.key for pair in diagnosed(after)[name].values} for name in ("x", "z")}
-    missing = {"following error [qc]", "clock offset [us]", "clock drift [ppm]"}
-    assert keys["x"] - keys["z"] == missing
+    assert keys["x"] - keys["z"] == {"following error [qc]"}
 
 
 @pytest.mark.parametrize(
     ("parameter", "value", "line"),
     [
-        ("max_velocity", 30.0, "30 m/s is more than the drive can hold (25 m/s)"),
+        ("max_velocity", 30.0, "30 m/s is more than the drive can hold (16.4482 m/s)"),
         ("stop_deceleration", 3e4, "30000 m/s² is more than the drive can hold (10737.4 m/s²)"),
     ],
 )

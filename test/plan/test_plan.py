@@ -614,7 +614,7 @@ def test_memory_does_not_grow_with_the_length_of_the_motion():
     records = (*[Record(0, 0, 250)] * 14_400, Record(0, 0, 0))
     units = AxisUnits.of(axis)
     reference = Reference.at_rest([units], [0.0])
-    long = AxisPlan(axis, units, 0, records, reference, 0)
+    long = AxisPlan(axis, units, units.velocity_unit_qc_s, 0, records, reference, 0)
     tracemalloc.start()
     try:
         assert long.extremes == (0.0, 0.0, 0.0)

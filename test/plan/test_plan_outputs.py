@@ -20,6 +20,7 @@ from epos2_ros.demo.outputs import expected_of
 OUTPUTS = EXAMPLES.parent / "config" / "outputs.yaml"
 LOOP_S = 250e-6
 BELT = {"type": "prismatic", "counts_per_turn": 2000, "gear_ratio": 100.0, "lead": 0.1}
+PROFILE = {**BELT, "drive": "copley", "trajectory": "profile"}
 
 
 def run(capsys: pytest.CaptureFixture[str], *arguments: Any) -> tuple[int, str, str]:
@@ -64,7 +65,7 @@ def test_every_crossing_of_the_raster_scan(tmp_path, capsys):
 def parameters_of(tmp_path: Path, compare: dict[str, Any], **axis: Any) -> Path:
     section = {
         "joints": ["z"],
-        "axes": {"z": {**BELT, "drive": "copley", "max_velocity": 0.2, **axis}},
+        "axes": {"z": {**PROFILE, "max_velocity": 0.2, **axis}},
         "outputs": ["laser"],
         "compare": {"laser": {"joint": "z", **compare}},
     }
@@ -156,7 +157,7 @@ def test_what_cannot_be_is_one_line(compare, arguments, line, tmp_path, capsys):
     assert err.count("\n") == 1
 
 
-def test_a_copley_joint_in_a_trajectory_is_refused(tmp_path, capsys):
+def test_a_joint_that_is_moved_by_profiles_in_a_trajectory_is_refused(tmp_path, capsys):
     points = [
         {"positions": [0.0, 0.0, z], "time_from_start": {"sec": sec}}
         for sec, z in ((0, 0.0), (2, 0.1))
@@ -169,5 +170,5 @@ def test_a_copley_joint_in_a_trajectory_is_refused(tmp_path, capsys):
     assert status == 1
     assert err == (
         "epos2_ros plan: trajectory refused: joint 'z' can't follow a trajectory: its Copley drive "
-        "moves in profile position mode, by ~/move_to\n"
+        "moves in profile position mode, by ~/move_to (axes.z.trajectory)\n"
     )

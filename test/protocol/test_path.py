@@ -9,13 +9,12 @@ import math
 
 import numpy as np
 import pytest
-from simulated_time import Bench, axes
+from simulated_time import Bench, drive_of, makers
 
 from epos2_ros.configuration.driver import DriverConfig
 from epos2_ros.errors import TrajectoryError
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.protocol.phase import Phase
-from epos2_ros.sim.epos2 import Epos2
 
 HOLD_MS = 1  # after the start SYNC: the first record holds the position
 QC_PER_RAD = 2000 * 100 / (2 * math.pi)
@@ -33,11 +32,15 @@ def move(
 
 def made_bench(buffer_time: float = 0.5, **settings) -> Bench:
     config = DriverConfig(
-        axes=axes(2, max_velocity=MAX_VELOCITY, max_acceleration=MAX_ACCELERATION),
+        axes=makers(
+            "epos2", "copley", max_velocity=MAX_VELOCITY, max_acceleration=MAX_ACCELERATION
+        ),
         buffer_time=buffer_time,
         **settings,
     )
-    bench = Bench(config, [Epos2(n, drift_ppm=60.0 * (-1) ** n, record=True) for n in (1, 2)])
+    bench = Bench(config, [
+        drive_of(axis, drift_ppm=60.0 * (-1) ** axis.node_id, record=True) for axis in config.axes
+    ])
     bench.enable()
     return bench
 

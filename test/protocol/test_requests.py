@@ -19,13 +19,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from simulated_time import Bench, axes
+from simulated_time import Bench, drive_of, makers
 
 from epos2_ros.configuration.driver import DriverConfig
 from epos2_ros.errors import Epos2RosError
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.protocol.phase import Phase
-from epos2_ros.sim.epos2 import Epos2
 
 QC_PER_RAD = 2000 * 100 / (2 * math.pi)
 JOINTS = ("joint_1", "joint_2")
@@ -46,7 +45,7 @@ class Scene:
         return self.bench.group.phase
 
     def move(self, to: float, stamp_s: float | None = None, duration_s: float = 0.8) -> None:
-        here = [drive._demand / QC_PER_RAD for drive in self.bench.drives]
+        here = [drive.position_demand / QC_PER_RAD for drive in self.bench.drives]
         points = np.array([here, [to, -to]]) if self.resting else np.array([[to, -to]])
         times = np.array([0.0, duration_s]) if self.resting else np.array([duration_s])
         still = np.zeros_like(points)
@@ -76,7 +75,7 @@ class Scene:
         assert self.phase is phase, self.bench.group.describe_phase()
 
     def demands(self) -> list[float]:
-        return [drive._demand for drive in self.bench.drives]
+        return [drive.position_demand for drive in self.bench.drives]
 
 
 def disabled(scene: Scene) -> None:
@@ -230,10 +229,14 @@ ENDS = ("stop", "halt", "quick_stop", "disable")
 
 def made_scene() -> Scene:
     config = DriverConfig(
-        axes=axes(2, max_velocity=MAX_VELOCITY, max_acceleration=MAX_ACCELERATION),
+        axes=makers(
+            "epos2", "copley", max_velocity=MAX_VELOCITY, max_acceleration=MAX_ACCELERATION
+        ),
         buffer_time=0.3,
     )
-    drives = [Epos2(n, drift_ppm=60.0 * (-1) ** n, record=True) for n in (1, 2)]
+    drives = [
+        drive_of(axis, drift_ppm=60.0 * (-1) ** axis.node_id, record=True) for axis in config.axes
+    ]
     return Scene(Bench(config, drives))
 
 

@@ -13,12 +13,12 @@ from campaign import Action, Axis, Broken, Scenario, Trouble, broken, play, scen
 
 from epos2_ros.bus.cia402_node import Cia402Node
 from epos2_ros.protocol import group, silence
-from epos2_ros.protocol.pvt import buffer_account, path_audit
+from epos2_ros.protocol.pvt import counted, path_audit
 from epos2_ros.protocol.synchronous import SynchronousControlwords
 
 SEEDS = range(16)
 TWO = (Axis("epos2", 60.0, ""), Axis("epos2", -60.0, ""))
-MIXED = (Axis("epos2", 60.0, ""), Axis("copley", 0.0, ""))
+MIXED = (Axis("epos2", 60.0, ""), Axis("cl3e", 0.0, ""))  # one that tells no path
 ENABLE = Action("enable", 0.0)
 MOVE = Action("move", 2.0, 0.6, 2.5)
 SLOWLY = Action("move", 2.0, 0.3, 1.5)  # no drive complains by itself when a record is lost
@@ -45,7 +45,12 @@ def nothing(*args, **settings):
 def no_audit(monkeypatch):
     monkeypatch.setattr(path_audit.PathAudit, "on_demand", lambda self, demand_qc, t_us: "")
     monkeypatch.setattr(path_audit.PathAudit, "on_sync", lambda self, t_us, starts: "")
-    monkeypatch.setattr(buffer_account.BufferAccount, "report", lambda self, *args: "")
+
+    def believed(self, *args):
+        self.reported = True
+        return ""
+
+    monkeypatch.setattr(counted.CountedRecords, "report", believed)
 
 
 def no_watch_for_silence(monkeypatch):

@@ -12,13 +12,12 @@ from random import Random
 
 import numpy as np
 import pytest
-from simulated_time import Bench, axes
+from simulated_time import Bench, axes, drive_of, makers
 
 from epos2_ros.configuration.driver import DriverConfig
 from epos2_ros.errors import UnfinishedTrajectory
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.protocol.phase import Phase
-from epos2_ros.sim.epos2 import Epos2
 
 QC_PER_RAD = 2000 * 100 / (2 * math.pi)
 JOINTS = ("joint_1", "joint_2")
@@ -117,10 +116,14 @@ def follow(
 ) -> Run:
     """The whole stream, and what comes after it; a host wakes up `late_s` late."""
     config = DriverConfig(
-        axes=axes(2, max_velocity=MAX_VELOCITY, max_acceleration=MAX_ACCELERATION),
+        axes=makers(
+            "epos2", "copley", max_velocity=MAX_VELOCITY, max_acceleration=MAX_ACCELERATION
+        ),
         stream_ahead=stream_ahead,
     )
-    bench = Bench(config, [Epos2(n, drift_ppm=60.0 * (-1) ** n, record=True) for n in (1, 2)])
+    bench = Bench(config, [
+        drive_of(axis, drift_ppm=60.0 * (-1) ** axis.node_id, record=True) for axis in config.axes
+    ])
     bench.enable()
     bench.late_us = lambda: 1e6 * late_s()
     run = Run(bench, zero_s=bench.now_us / 1e6)

@@ -61,6 +61,13 @@ DRIVE = [
 MAKER = [  # that the driver needs besides
     (0x100C, 0, U16, "rw"),
     (0x100D, 0, U8, "rw"),
+    (0x1013, 0, U32, "rw"),
+    (0x2010, 0, datatypes.UNSIGNED64, "rw"),
+    (0x2011, 0, U16, "ro"),
+    (0x2012, 0, U32, "ro"),
+    (0x2013, 0, U16, "ro"),
+    (0x605D, 0, I16, "rw"),
+    (0x60C0, 0, I16, "rw"),
     (0x2120, 0, I32, "rw"),
     (0x2183, 0, U32, "rw"),
     (0x2300, 0, U16, "rw"),

@@ -1,9 +1,10 @@
-"""Interpolated position mode of the EPOS2: records in each drive's buffer, executed on one clock.
+"""Interpolated position mode: records in each drive's buffer, executed on one clock.
 
-maxon, application note "Interpolation Position Mode". A record is the end of a segment; the drive
-interpolates a cubic at 1 kHz. Before the start every drive has to report every record it was sent;
-in motion its buffer is fed by the books, its reports are held against them, and at every SYNC its
+A record is the end of a segment, between whose ends the drive makes a cubic; what its buffer takes
+for it is its family's. Before the start every drive has to report every record it was sent; in
+motion its buffer is fed by the books, its reports are held against them, and at every SYNC its
 position demand against the records (`pvt.path_audit`). What a halt leaves is "ip mode inactive".
+Sources: maxon, application note "Interpolation Position Mode"; for Copley `copley_pvt`.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from epos2_ros.protocol.outbox import Outbox
 from epos2_ros.protocol.path_time import PathTime
 from epos2_ros.protocol.pvt.axis import PvtAxis
 from epos2_ros.protocol.pvt.buffer_reads import BufferReads
+from epos2_ros.protocol.pvt.emptying import Emptying
 from epos2_ros.protocol.pvt.feeder import Feeder
 from epos2_ros.protocol.sdo import SdoWrite
 
@@ -54,6 +56,11 @@ class Interpolated(Mode):
         self._reads = reads
         self._path_time = path_time
         self._axis_of = {axis.drive: axis for axis in axes}
+        self._emptying = {
+            axis.drive: Emptying(axis.drive, axis.buffer, out)
+            for axis in axes
+            if axis.buffer.remedy is not None
+        }
         self._planned: Reference | None = None
         self._broken = ""  # why the reference can't be followed
 
@@ -64,13 +71,18 @@ class Interpolated(Mode):
     # ------------------------------------------------------------------ at rest
 
     def rest(self, drive: Drive) -> Sequence[SdoWrite]:
-        """Empty the buffer and enable access to it; of what was in it nothing is executed."""
+        """Empty the buffer; of what was in it nothing is executed."""
         self.on_rest(drive)
-        index, subindex = epos2.INTERPOLATION_DATA_CONFIGURATION, epos2.BUFFER_CLEAR_SUBINDEX
-        return [SdoWrite.integer(index, subindex, value, 1) for value in (0, 1)]
+        if emptying := self._emptying.get(drive):
+            emptying.begin()
+        return self._axis_of[drive].buffer.empty
+
+    def unready(self, drive: Drive, now_us: float) -> str:
+        emptying = self._emptying.get(drive)
+        return emptying.advance(now_us) if emptying else ""
 
     def on_rest(self, drive: Drive) -> None:
-        self._axis_of[drive].audit.rest(drive.demand_qc or 0)
+        self._axis_of[drive].rest()
 
     # ------------------------------------------------------------------ before the start
 
@@ -81,6 +93,7 @@ class Interpolated(Mode):
         self._reads.begin()
 
     def prepare(self, now_us: float) -> bool:
+        self._repeat()
         if self._feed(0.0):
             return True
         self._reads.ask_all(now_us)
@@ -89,11 +102,7 @@ class Interpolated(Mode):
 
     def unprepared(self) -> str:
         if missing := self._reads.unreported():
-            axis = missing[0]
-            return (
-                f"{axis} reports {axis.account.level(None)} records in its buffer where "
-                f"{axis.account.sent} were sent"
-            )
+            return f"{missing[0]} {missing[0].account.missing()}"
         return ""
 
     def refused(self) -> str:
@@ -120,6 +129,7 @@ class Interpolated(Mode):
         )
 
     def advance(self, path_ms: float, now_us: float) -> str:
+        self._repeat()
         self._feed(path_ms)
         if self._broken:
             return self._broken
@@ -139,7 +149,8 @@ class Interpolated(Mode):
         return ""
 
     def due_ms(self) -> float:
-        reads_ms = self._path_time.at_ms(self._reads.due_us)
+        due_us = self._reads.due_us
+        reads_ms = None if due_us == math.inf else self._path_time.at_ms(due_us)
         return min(self.feeder.due_ms, math.inf if reads_ms is None else reads_ms)
 
     def arrived(self) -> bool:
@@ -159,20 +170,30 @@ class Interpolated(Mode):
     def _feed(self, path_ms: float) -> bool:
         """One record for the axis that needs it most; False if none needs any."""
         try:
-            frame = self.feeder.next(path_ms)
+            fed = self.feeder.next(path_ms)
         except TrajectoryError as error:
             self._broken = str(error)
             return False
-        if frame is not None:
-            self._out.frames.append(frame)
-        return frame is not None
+        if fed is not None:
+            axis, record = fed
+            self._out.frames.extend(axis.send(record, path_ms))
+        return fed is not None
+
+    def _repeat(self) -> None:
+        """What drives have told to be missing, before anything new."""
+        for axis in self.axes:
+            self._out.frames.extend(axis.repeats())
 
     def _ask(self) -> None:
-        """Let drives say how many records they still take, by SDO."""
+        """Let drives say what is in their buffers, by SDO."""
         while self._reads.outbox:
             index = self._reads.outbox.popleft()
-            node_id, then = self.axes[index].drive.node_id, partial(self._asked, index)
-            self._out.ask(node_id, reads=(epos2.FREE_RECORDS,), then=then)
+            axis = self.axes[index]
+            self._out.ask(
+                axis.drive.node_id,
+                reads=(axis.buffer.status,),
+                then=partial(self._asked, index),
+            )
 
     def _asked(self, index: int, values: Sequence[int], error: str) -> None:
         """The answer was seen on the bus, as any other frame; without one no motion starts."""
@@ -185,8 +206,12 @@ class Interpolated(Mode):
     # ------------------------------------------------------------------ what was on the bus
 
     def on_report(self, drive: Drive, reported: Set[tuple[int, int]], t_us: float) -> str:
-        audit = self._axis_of[drive].audit
-        wrong = ""
+        axis = self._axis_of[drive]
+        audit, status, wrong = axis.audit, axis.buffer.status, ""
+        if axis.account.sent and (status.index, status.subindex) in reported:
+            at_ms = self._path_time.at_ms(t_us)
+            if wrong := axis.account.report(drive.buffer_status, t_us, at_ms, at_ms):
+                return wrong
         if _CLOCK in reported and drive.latched is not None:
             wrong = audit.on_clock(drive.latched, t_us)
         if _DEMAND in reported and drive.demand_qc is not None:
@@ -194,15 +219,16 @@ class Interpolated(Mode):
         return wrong
 
     def on_answer(self, drive: Drive, data: bytes, t_us: float) -> str:
-        free = epos2.FREE_RECORDS.answered(data)
-        if free is None:
+        axis = self._axis_of[drive]
+        value = axis.buffer.status.answered(data)
+        if value is None or not axis.account.sent:
             return ""
         asked_us = drive.asked_us
         from_ms, to_ms = self._path_time.at_ms(asked_us), self._path_time.at_ms(t_us)
-        return self._reads.answer(self.drives.index(drive), free, asked_us, from_ms, to_ms)
+        return self._reads.answer(self.drives.index(drive), value, asked_us, from_ms, to_ms)
 
     def on_sync(self, drive: Drive, t_us: float, starts: bool) -> str:
         return self._axis_of[drive].audit.on_sync(t_us, starts)
 
-    def on_echo(self, drive: Drive, t_us: float) -> None:
-        self._axis_of[drive].account.seen_on_bus(t_us)
+    def on_echo(self, drive: Drive, data: bytes, t_us: float) -> None:
+        self._axis_of[drive].account.seen_on_bus(data, t_us)

@@ -2,7 +2,8 @@
 
 A mode knows its drives and no group. The group asks, in this order:
 
-* `rest(drive)` when a drive comes to stand in this mode: what has to be written to it;
+* `rest(drive)` when a drive comes to stand in this mode: what has to be written to it; then
+  `unready(drive)` until nothing keeps it from being ready;
 * `begin()`, then `prepare()` again and again: what has to be in the drives before the start, until
   `unprepared()` is empty;
 * at the start SYNC the controlword bits `start` count in every drive that takes part; then
@@ -50,6 +51,10 @@ class Mode(ABC):
     def rest(self, drive: Drive) -> Sequence[SdoWrite]:
         """What makes a standing drive ready for the next motion, right after the mode was set."""
         return ()
+
+    def unready(self, drive: Drive, now_us: float) -> str:
+        """What keeps it from being ready, beside what `rest` has it written; asked now and then."""
+        return ""
 
     def on_rest(self, drive: Drive) -> None:  # noqa: B027
         """A drive stands, in this mode, and has said where."""
@@ -120,5 +125,5 @@ class Mode(ABC):
         """A SYNC was on the bus, the one that starts the motion if so; what is wrong."""
         return ""
 
-    def on_echo(self, drive: Drive, t_us: float) -> None:  # noqa: B027
+    def on_echo(self, drive: Drive, data: bytes, t_us: float) -> None:  # noqa: B027
         """A frame of this mode's own (RPDO1) to a drive was on the bus."""

@@ -1,11 +1,11 @@
-"""What the drives say of their buffers when they are asked: free records (0x60C4-02), by SDO.
+"""What the drives say of their buffers when they are asked: free records, or the next wanted.
 
-No PDO can carry that object on most drives (the application note maps it, the maker's dictionaries
-don't allow it), so the host keeps books (`buffer_account`) and asks now and then: every drive
-before a start, which has to report every record that was sent; in motion one after the other, so
-that each is asked twice while what is ahead in its buffer lasts. A lost record is then found before
-it is due. One answer in motion may be wrong by what was on its way: the drive is asked again soon,
-and a second one in a row is a fault.
+No PDO can carry the free records of an EPOS2 (the application note maps 0x60C4-02, the maker's
+dictionaries don't allow it), so the host keeps books (`buffer_account`) and asks now and then:
+every drive before a start, which has to report every record that was sent; in motion one after the
+other, so that each is asked twice while what is ahead in its buffer lasts. A lost record is then
+found before it is due. One answer in motion may be wrong by what was on its way: the drive is asked
+again soon, and a second one in a row is a fault.
 
 Somebody else does the asking, by SDO; the answer is seen on the bus as any other frame.
 """
@@ -35,7 +35,6 @@ class BufferReads:
 
     def begin(self) -> None:
         """A new motion: what was reported is of the last one."""
-        self._reported = [False for _ in self._axes]
         self._asked_us = [-math.inf for _ in self._axes]
         self._awaited: set[int] = set()
         self._suspects: set[int] = set()  # axes whose last answer was wrong
@@ -47,13 +46,13 @@ class BufferReads:
 
     def unreported(self) -> list[PvtAxis]:
         """Axes that have not yet reported every record they were sent."""
-        return [axis for axis, done in zip(self._axes, self._reported, strict=True) if not done]
+        return [axis for axis in self._axes if not axis.account.reported]
 
     def ask_all(self, now_us: float) -> None:
         """Ask whoever has not reported all of its records, once these are on the bus."""
         for index, axis in enumerate(self._axes):
             waiting = index in self._awaited or now_us < self._asked_us[index] + ASK_AGAIN_US
-            if not (waiting or self._reported[index]) and axis.account.all_on_bus:
+            if not (waiting or axis.account.reported) and axis.account.all_on_bus:
                 self._ask(index, now_us)
 
     # ------------------------------------------------------------------ in motion
@@ -61,10 +60,17 @@ class BufferReads:
     @property
     def due_us(self) -> float:
         """When `watch` is wanted next."""
-        return math.inf if self._awaited else self._due_us
+        urgent_us = min(
+            (axis.account.ask_us for i, axis in enumerate(self._axes) if i not in self._awaited),
+            default=math.inf,
+        )
+        return min(urgent_us, math.inf if self._awaited else self._due_us)
 
     def watch(self, now_us: float) -> None:
-        """Ask the next drive when it is due; one at a time."""
+        """Ask who has to be asked, and the next drive when it is due; one at a time."""
+        for index, axis in enumerate(self._axes):
+            if axis.account.ask_us <= now_us and index not in self._awaited:
+                self._ask(index, now_us)
         if self._axes and not self._awaited and now_us >= self._due_us:
             self._due_us = now_us + self._pause_us
             self._ask(self._next, now_us)
@@ -75,21 +81,22 @@ class BufferReads:
     def answer(
         self,
         index: int,
-        free: int,
+        value: int,
         asked_us: float,
         from_ms: float | None,
         to_ms: float | None,
     ) -> str:
-        """A drive had `free` records free some time between two path times (None: not started).
+        """What a drive said of its buffer some time between two path times (None: not started).
 
         It was asked at host time `asked_us`. What is wrong with the answer, or "".
         """
         axis = self._axes[index]
         self._awaited.discard(index)
-        wrong = axis.account.report(free, asked_us, from_ms, to_ms)
-        self._reported[index] = not wrong
+        wrong = axis.account.report(value, asked_us, from_ms, to_ms)
         if not wrong:
             self._suspects.discard(index)
+            if axis.account.reported:
+                self._asked_us[index] = -math.inf  # it may be asked at once for what comes next
         elif to_ms is not None:
             if index in self._suspects:
                 return wrong
@@ -106,5 +113,6 @@ class BufferReads:
 
     def _ask(self, index: int, now_us: float) -> None:
         self._asked_us[index] = now_us
+        self._axes[index].account.asked(now_us)
         self._awaited.add(index)
         self.outbox.append(index)

@@ -22,8 +22,6 @@ from epos2_ros.motion.fit import Fitter
 from epos2_ros.motion.record import MAX_SEGMENT_MS, Record
 from epos2_ros.motion.reference import Reference
 from epos2_ros.motion.stream import Stream
-from epos2_ros.protocol import epos2
-from epos2_ros.protocol.frame import Frame
 from epos2_ros.protocol.pvt.axis import PvtAxis
 from epos2_ros.protocol.pvt.buffer_account import BufferAccount
 
@@ -32,7 +30,7 @@ MIN_RECORDS = 2  # in the FIFO besides the one in execution, or it underflows
 MIN_RECORDS_AHEAD = 3  # so that two remain when the next segment begins
 MARGIN_MS = 80.0  # less than 100 by what a host needs to send after its stall
 SHARE = 4  # of the buffer time is the longest segment: this bounds what is committed
-MAX_RECORDS_AHEAD = epos2.BUFFER_SIZE - 4
+SPARE_RECORDS = 4  # of a buffer, that are never used
 STREAM_SEGMENT_MS = 16
 """Longest segment of a stream: its points are a moment ahead, and what is committed is lag."""
 
@@ -107,11 +105,10 @@ class Feeder:
     @property
     def due_ms(self) -> float:
         """Path time at which some axis takes its next record; inf when all have ended."""
-        accounts = [axis.account for axis in self._axes if not axis.account.ended]
-        return min(map(self._due_ms, accounts), default=math.inf)
+        return min((self._due_ms(axis.account) for axis in self._axes), default=math.inf)
 
-    def next(self, path_ms: float) -> Frame | None:
-        """One record for the axis that needs it most; None if none needs any.
+    def next(self, path_ms: float) -> tuple[PvtAxis, Record] | None:
+        """One record for the axis that needs it most, to be sent; None if none needs any.
 
         One at a time, so that between records whoever calls looks at the bus. TrajectoryError
         when the reference can't be followed within tolerance and limits.
@@ -120,14 +117,14 @@ class Feeder:
         if self.due_ms > path_ms:
             return None
         index, axis = min(
-            ((i, axis) for i, axis in enumerate(self._axes) if not axis.account.ended),
+            enumerate(self._axes),
             key=lambda candidate: self._due_ms(candidate[1].account),
         )
         record = self._next_record(index, axis)
         if record is None:
             return None
         axis.account.note_reserve(path_ms)
-        return axis.send(record, path_ms)
+        return axis, record
 
     def _next_record(self, index: int, axis: PvtAxis) -> Record | None:
         if not axis.account.sent:
@@ -138,9 +135,11 @@ class Feeder:
             raise TrajectoryError(f"{axis}: {error}") from error
 
     def _due_ms(self, account: BufferAccount) -> float:
+        if account.ended or account.blocked:
+            return math.inf
         due = min(
             account.committed_ms - self._ahead_ms,
             account.leaves_ms(MIN_RECORDS) - self._reserve_ms,
             account.leaves_ms(MIN_RECORDS_AHEAD),
         )
-        return max(due, account.leaves_ms(MAX_RECORDS_AHEAD))
+        return max(due, account.leaves_ms(account.size - SPARE_RECORDS))

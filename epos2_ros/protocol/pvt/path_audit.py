@@ -6,13 +6,15 @@ then when it is asked (0x1013). Path time begins at the start SYNC and goes by t
 however late the host has seen the SYNC; and the records that were sent say what the demand is
 there, to a count. That a drive's clock is right is the timekeeper's to say, not looked at here.
 
-How far off is wrong. The demand has to be that of a control cycle, a whole millisecond k of the
-path, within ROUNDING_QC and the tolerance of the records. Which cycle, no document says exactly:
-READING: CiA 301 has a synchronous TPDO sampled at the SYNC, the note has motion begin with it; a
-drive may begin with its next cycle and sample in another. So there is a delay between SYNC and
-sample, unknown but the same at every SYNC: at first anything up to MAX_DELAY_US either way, then
-what the answers so far leave of that. An axis can be off unnoticed by its velocity times what is
-left, at least one control cycle and 2 · JITTER_US, and by tolerance and rounding.
+How far off is wrong. The demand has to be that of a control cycle of the drive, a whole millisecond
+k of the path on an EPOS2, within ROUNDING_QC and the tolerance of the records. Which cycle, no
+document says exactly: READING: CiA 301 has a synchronous TPDO sampled at the SYNC, the note has
+motion begin with it; a drive may begin with its next cycle and sample in another. So there is a
+delay between SYNC and sample, unknown but the same at every SYNC: at first anything up to
+MAX_DELAY_US either way, then what the answers so far leave of that. An axis can be off unnoticed by
+its velocity times what is left, at least one control cycle and 2 · JITTER_US, and by tolerance and
+rounding. READING: a drive whose cycles do not go by the path's clock (Copley's are 4 kHz) samples
+at any time of one, and that time wanders.
 
 Which SYNC an answer belongs to. A clock counts only when it was asked for after that SYNC. TPDO4
 doesn't say it: it is taken for the answer to the same SYNC where both came between the same two
@@ -26,6 +28,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from collections import deque
+from collections.abc import Sequence
 
 from epos2_ros.motion.pvt import Cubic
 from epos2_ros.motion.record import Record
@@ -50,12 +53,20 @@ def patience_syncs(sync_period_us: float) -> int:
 class PathAudit:
     """Of one drive: through a motion and the rest before and after. Positions are qc, times µs.
 
-    `tolerance_qc`: how far off its records an axis may be besides rounding.
+    `tolerance_qc`: how far off its records an axis may be besides rounding; `cycle_us`: of control,
+    `free` where it does not go by the path's clock.
     """
 
     def __init__(
-        self, velocity_unit_qc_s: float, tolerance_qc: float, sync_period_us: float
+        self,
+        velocity_unit_qc_s: float,
+        tolerance_qc: float,
+        sync_period_us: float,
+        cycle_us: float = 1000.0,
+        free: bool = False,
     ) -> None:
+        self._cycle_us = cycle_us
+        self._wanders_us = cycle_us if free else 0.0
         self._unit_qc_s = velocity_unit_qc_s
         self._allowed_qc = tolerance_qc + ROUNDING_QC
         self._period_us = sync_period_us
@@ -192,8 +203,9 @@ class PathAudit:
         self._misfit = None
         self._answered(number)
         first, last = cycles
-        self._least_us = max(self._least_us, 1000 * first - path_us - JITTER_US)
-        self._most_us = min(self._most_us, 1000 * (last + 1) - path_us + JITTER_US)
+        cycle_us, play_us = self._cycle_us, JITTER_US + self._wanders_us
+        self._least_us = max(self._least_us, cycle_us * first - path_us - play_us)
+        self._most_us = min(self._most_us, cycle_us * (last + 1) - path_us + play_us)
         self._follows = self._follows or not self._started_late(path_us, demand_qc)
         self._forget(int(path_us / 1000) - _KEPT_MS)
         return ""
@@ -223,8 +235,8 @@ class PathAudit:
 
     # ------------------------------------------------------------------ the path
 
-    def _position_qc(self, k_ms: int) -> float:
-        """The demand in a cycle; NaN where it is not known (any more, or yet)."""
+    def _position_qc(self, k_ms: float) -> float:
+        """The demand at a path time; NaN where it is not known (any more, or yet)."""
         if k_ms <= 0:
             return float(self._start_qc)
         index = bisect_left(self._ends_ms, k_ms)
@@ -240,14 +252,23 @@ class PathAudit:
         self, path_us: float, demand_qc: int, least_us: float, most_us: float
     ) -> tuple[int, int] | None:
         """First and last cycle within a delay's reach whose demand this could be."""
-        first = math.floor((path_us + least_us - JITTER_US) / 1000)
-        last = math.floor((path_us + most_us + JITTER_US) / 1000)
+        cycle_us = self._cycle_us
+        first = math.floor((path_us + least_us - JITTER_US) / cycle_us)
+        last = math.floor((path_us + most_us + JITTER_US) / cycle_us)
+        cycles = 2 if self._wanders_us else 1  # at both ends of one, or at its beginning
+        path = [self._position_qc(k * cycle_us / 1000) for k in range(first, last + 1 + cycles)]
         fitting = [
-            k
-            for k in range(first, last + 1)
-            if not abs(self._position_qc(k) - demand_qc) > self._allowed_qc  # unknown fits
+            first + i
+            for i in range(last + 1 - first)
+            if self._may_be(demand_qc, path[i : i + cycles])
         ]
         return (fitting[0], fitting[-1]) if fitting else None
+
+    def _may_be(self, demand_qc: int, path: Sequence[float]) -> bool:
+        """Whether the demand can be between these positions; it can where one is unknown."""
+        if any(map(math.isnan, path)):
+            return True
+        return min(path) - self._allowed_qc <= demand_qc <= max(path) + self._allowed_qc
 
     def _started_late(self, path_us: float, demand_qc: int) -> bool:
         """Whether the demand is that of a drive that started with the SYNC after the start's."""
