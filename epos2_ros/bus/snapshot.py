@@ -38,6 +38,7 @@ class AxisSnapshot:
     executed_qc: int | None  # position demand at the last SYNC
     records_sent: int
     buffer_flags: Mapping[str, bool] = field(default_factory=dict)  # of that, by name
+    emergency: int = 0  # error code of the last emergency (CiA 301); 0: none, or all are gone
     homed: str = ""  # the method by which it was; "": it was not
     reserve_ms: float | None = None  # least time before an underflow, since the motion began
     silent_s: float = 0.0  # not heard for so long; 0 as long as it is heard
@@ -126,6 +127,7 @@ def axis_snapshots(
             buffered_ms=0.0,
             status_word=drive.buffer_status,
             fault=drive.trouble(),
+            emergency=drive.emergency,
             following_error_qc=drive.following_error_qc,
             clock_offset_us=None,
             clock_drift_ppm=None,

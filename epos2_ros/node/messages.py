@@ -4,18 +4,27 @@ Layouts: `sensor_msgs/JointState` as joint_state_broadcaster fills it, `diagnost
 diagnostic_updater does: `name` is "node: part", `hardware_id` is "channel/node id", both with the
 node's namespace before them if it has one. What is not heard has no state: it is STALE, and not in
 the joint states.
+
+Flags, words and states are there as numbers, too, which is all that plotting tools draw: `level`
+(0 ok, 1 warning, 2 error, 3 stale), and `NAME_number` or `NAME number` beside NAME. A flag is 1 or
+0, a word or error code its value, a state its place in the order in which it is gone through
+(`cia402.State`, `Phase`, `BusState`), from 0; -1: unknown.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from enum import Enum
 from typing import TYPE_CHECKING
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from sensor_msgs.msg import JointState
 
+from epos2_ros.bus.health import BusState
 from epos2_ros.configuration.driver import ClockLimits
+from epos2_ros.protocol import cia402
+from epos2_ros.protocol.phase import Phase
 
 if TYPE_CHECKING:
     from epos2_ros.bus.snapshot import AxisSnapshot, JointStates, OutputSnapshot, Snapshot
@@ -71,13 +80,16 @@ def _buffer_of(axis: AxisSnapshot, channel: str) -> DiagnosticStatus:
         hardware_id=f"{channel}/{axis.node_id}",
         values=_values(
             {
+                **_level(level),
                 "records_sent": str(axis.records_sent),
                 "used": str(axis.used),
                 "free": str(axis.free),
                 "size": str(axis.size),
                 "buffered_ms": f"{axis.buffered_ms:.0f}",
                 "status_word": f"0x{axis.status_word:04X}",
+                "status_word_number": str(axis.status_word),
                 **{name: str(on).lower() for name, on in flags.items()},
+                **{f"{name}_number": str(int(on)) for name, on in flags.items()},
             }
         ),
     )
@@ -116,9 +128,13 @@ def _drive_of(axis: AxisSnapshot, node: str, channel: str, limits: ClockLimits) 
         hardware_id=f"{channel}/{axis.node_id}",
         values=_values(
             {
+                **_level(level),
                 "state": "unknown" if axis.silent_s else axis.state,
+                "state number": _place(cia402.State, "" if axis.silent_s else axis.state),
                 "last emergency": axis.fault or "none",
+                "last emergency number": str(axis.emergency),
                 "referenced": axis.homed or "no",
+                "referenced number": str(int(bool(axis.homed))),
                 "not heard for [s]": f"{axis.silent_s:.1f}",
                 **{name: text for name, text in clock_and_error.items() if text},
                 **identity,
@@ -145,13 +161,15 @@ def _output_of(output: OutputSnapshot, node: str, channel: str) -> DiagnosticSta
     tally = output.tally
     known = tally.predicted is not None
     unknown = "no predicted motion has ended yet" if tally.events else "no motion yet"
+    level = WARN if tally.difference else OK
     return DiagnosticStatus(
-        level=WARN if tally.difference else OK,
+        level=level,
         name=f"{node}: compare.{output.name}",
         message=tally.difference or ("as predicted" if known else unknown),
         hardware_id=f"{channel}/{output.node_id}",
         values=_values(
             {
+                **_level(level),
                 "joint": output.joint,
                 "events": str(tally.events),
                 "predicted in last motion": str(tally.predicted) if known else "",
@@ -179,10 +197,13 @@ def _bus_of(snapshot: Snapshot, node: str, channel: str) -> DiagnosticStatus:
         hardware_id=channel,
         values=_values(
             {
+                **_level(level),
                 "group": snapshot.state,
+                "group number": _place(Phase, snapshot.state),
                 "drives": "simulated" if snapshot.simulated else "real",
                 "load [%]": f"{100 * snapshot.bus_load:.1f}",
                 "controller": snapshot.bus_state,
+                "controller number": _place(BusState, snapshot.bus_state),
                 "transmit errors": str(snapshot.transmit_errors),
                 "receive errors": str(snapshot.receive_errors),
                 "error frames": str(snapshot.error_frames),
@@ -196,6 +217,16 @@ def _bus_of(snapshot: Snapshot, node: str, channel: str) -> DiagnosticStatus:
             }
         ),
     )
+
+
+def _level(level: bytes) -> dict[str, str]:
+    """The status' level among its values: a plotting tool reads nothing else of a status."""
+    return {"level": str(level[0])}
+
+
+def _place(states: type[Enum], value: str) -> str:
+    values = [state.value for state in states]
+    return str(values.index(value) if value in values else -1)
 
 
 def _given(value: float | None, format_spec: str) -> str:

@@ -53,6 +53,22 @@ WAIT_S = 20.0  # for something that must happen; reached only when it does not
 LOG_LINE = re.compile(r"\[(\w+)\] \[[\d.]+\] \[(?:[\w.]+\.)?epos2_driver\]: (.*)")
 
 
+# maxon, application note "Interpolation Position Mode", table 13; velocity and acceleration
+# errors are bits 10 and 11 (the table repeats the numbers of the warnings).
+STATUS_BITS = {
+    "underflow_warning": 0,
+    "overflow_warning": 1,
+    "velocity_warning": 2,
+    "acceleration_warning": 3,
+    "underflow_error": 8,
+    "overflow_error": 9,
+    "velocity_error": 10,
+    "acceleration_error": 11,
+    "buffer_enabled": 14,
+    "ip_mode_active": 15,
+}
+
+
 def axis_snapshot(joint: str, node_id: int, **values: Any) -> AxisSnapshot:
     standing = {
         "state": "operation enabled",
@@ -71,7 +87,10 @@ def axis_snapshot(joint: str, node_id: int, **values: Any) -> AxisSnapshot:
         "executed_qc": 0,
         "records_sent": 0,
     }
-    return AxisSnapshot(joint=joint, node_id=node_id, **{**standing, **values})
+    values = {**standing, **values}
+    word = values["status_word"]
+    flags = {name: bool(word >> bit & 1) for name, bit in STATUS_BITS.items()}
+    return AxisSnapshot(joint=joint, node_id=node_id, buffer_flags=flags, **values)
 
 
 def snapshot_of(*axes: AxisSnapshot, **values: Any) -> Snapshot:
@@ -763,22 +782,6 @@ def test_a_service_that_takes_long_stalls_neither_topics_nor_other_services(worl
 
 # -- messages --------------------------------------------------------------------------------
 
-# maxon, application note "Interpolation Position Mode", table 13; velocity and acceleration
-# errors are bits 10 and 11 (the table repeats the numbers of the warnings).
-STATUS_BITS = {
-    "underflow_warning": 0,
-    "overflow_warning": 1,
-    "velocity_warning": 2,
-    "acceleration_warning": 3,
-    "underflow_error": 8,
-    "overflow_error": 9,
-    "velocity_error": 10,
-    "acceleration_error": 11,
-    "buffer_enabled": 14,
-    "ip_mode_active": 15,
-}
-
-
 IP_MODE_ACTIVE = 1 << STATUS_BITS["ip_mode_active"]
 
 
@@ -800,6 +803,34 @@ def test_each_flag_of_the_buffer_status_word_is_a_key(flag):
         assert (status.level, status.message) == (DiagnosticStatus.WARN, flag.replace("_", " "))
     else:
         assert status.level == DiagnosticStatus.OK
+
+
+def test_flags_words_and_states_are_numbers_too():
+    """As Qt's QString::toDouble and JavaScript's Number have them, with which tools read values."""
+    axis = axis_snapshot("a", 1, status_word=0xC001, state="fault", homed="here", emergency=0x2310)
+    snapshot = snapshot_of(axis, state="fault", bus_state="error passive")
+    (buffer,) = messages.buffer_status(snapshot, "can0", Time()).status
+    drive, bus = messages.diagnostics(snapshot, "n", "can0", Time(), ClockLimits()).status
+    numbers = [
+        {v.key: float(v.value) for v in s.values if v.key.endswith("number") or v.key == "level"}
+        for s in (buffer, drive, bus)
+    ]
+    assert numbers[0] == {
+        "level": 1,
+        "status_word_number": 49153,
+        **{f"{name}_number": 0xC001 >> bit & 1 for name, bit in STATUS_BITS.items()},
+    }
+    assert numbers[1] == {
+        "level": 2,
+        "state number": 7,  # the last of the states of CiA 402
+        "last emergency number": 8976,
+        "referenced number": 1,
+    }
+    assert numbers[2] == {"level": 2, "group number": 15, "controller number": 2}
+    silent = replace(axis, silent_s=3.0)
+    drive = messages.diagnostics(snapshot_of(silent), "n", "can0", Time(), ClockLimits()).status[0]
+    values = {v.key: v.value for v in drive.values}
+    assert (values["level"], values["state number"]) == ("3", "-1")
 
 
 def test_the_worst_flag_speaks():
