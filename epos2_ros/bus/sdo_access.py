@@ -16,7 +16,7 @@ from canopen.objectdictionary import datatypes
 
 from epos2_ros.bus.sdo_client import RemoteNode
 from epos2_ros.errors import DriveError
-from epos2_ros.protocol.sdo import NO_OBJECT, NO_SUBINDEX, describe_abort
+from epos2_ros.protocol.sdo import NO_OBJECT, NO_SUBINDEX, OTHER_DRIVE, describe_abort
 
 T = TypeVar("T")
 
@@ -74,7 +74,8 @@ class SdoAccess:
         """The value of an object; `attempt`: what that is, in words."""
         attempt = attempt or f"read {self.name(index, subindex)}"
         variable = self._variable(index, subindex)
-        data = self._transfer(attempt, "", lambda: self._node.sdo.upload(index, subindex))
+        check = OTHER_DRIVE.format(joint=self._node.joint)
+        data = self._transfer(attempt, check, lambda: self._node.sdo.upload(index, subindex))
         size = self.size(index, subindex) // 8
         signed = variable.data_type in datatypes.SIGNED_TYPES
         return int.from_bytes(data[:size], "little", signed=signed)
@@ -93,8 +94,10 @@ class SdoAccess:
     ) -> None:
         """Set an object.
 
-        `attempt`: what that does, in words; `check`: what a refused value came from.
+        `attempt`: what that does, in words; `check`: what a refused value came from, if it is none
+        of the driver's own.
         """
+        check = check or OTHER_DRIVE.format(joint=self._node.joint)
         done = attempt or f"set {self.name(index, subindex)} to {value}"
         data = self._variable(index, subindex).encode_raw(value)
         self._transfer(done, check, lambda: self._node.sdo.download(index, subindex, data))

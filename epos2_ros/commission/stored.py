@@ -1,7 +1,8 @@
 """What a drive keeps through a power-off: the writable parameters of its dictionary, by maker.
 
-The tables beside this file (`epos2.csv`, `copley.csv`) are from the makers' EDS of 2013 and 2016:
-everything that can be read and written, except what is not a setting (controlword, set-points,
+The tables beside this file (`epos2.csv`, `copley.csv`, `cl3e.csv`) are from the makers' EDS of
+2013, 2016 and 2014, with the tenth input of the EPOS2 50/5, and what later firmware of the CL3-E
+has: everything that can be read and written, except what is not a setting (controlword, set-points,
 buffers, counters, clocks, commands), what the maker calls internal, and node id and bit rate, which
 say where on the bus the drive is. `step` is the order in which they are set: units (1), sensors and
 motor (2), limits (3), what depends on these (4), mode and state (5). PDOs come after 4.
@@ -16,7 +17,7 @@ from functools import cache
 from importlib import resources
 
 from epos2_ros.errors import ConfigurationError
-from epos2_ros.protocol.identity import COPLEY, MAXON
+from epos2_ros.protocol.identity import COPLEY, MAXON, NANOTEC
 
 Value = int | str
 INTEGERS = {
@@ -102,6 +103,7 @@ class Pdos:
 _TABLES: Mapping[int, tuple[str, Pdos]] = {
     MAXON: ("epos2.csv", Pdos(4, 8)),
     COPLEY: ("copley.csv", Pdos(8, 4)),
+    NANOTEC: ("cl3e.csv", Pdos(4, 8)),
 }
 
 
@@ -111,7 +113,7 @@ def parameters_of(vendor_id: int) -> dict[str, Parameter]:
     if vendor_id not in _TABLES:
         raise ConfigurationError(
             f"the parameters of drives of vendor 0x{vendor_id:08X} are not known; those of maxon "
-            "EPOS2 and Copley drives are"
+            "EPOS2, Copley and Nanotec CL3-E drives are"
         )
     name, pdos = _TABLES[vendor_id]
     text = (resources.files("epos2_ros") / "commission" / name).read_text(encoding="utf-8")

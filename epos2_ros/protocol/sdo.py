@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 NO_OBJECT, NO_SUBINDEX, NOT_MAPPABLE = 0x0602_0000, 0x0609_0011, 0x0604_0041
 
-_OTHER_DRIVE = "check axes.{joint}.drive and the drive's firmware"
+OTHER_DRIVE = "check axes.{joint}.drive and the drive's firmware"
 _VALUE = "check the parameters of axes.{joint} that it comes from"
 _BUSY = "switch the drive off and on again; if it stays so, it is broken"
 _CONTROL = "close other programs that talk to the drive, by USB or RS232, too"
@@ -16,24 +16,24 @@ _FRAMES = "check that no other device has this node id and that the bus is not d
 _ABORTS = {
     0x0503_0000: ("the toggle bit was not alternated", _FRAMES),
     0x0504_0000: ("the transfer took too long", _FRAMES),
-    0x0504_0001: ("unknown command", _OTHER_DRIVE),
-    0x0504_0002: ("invalid block size", _OTHER_DRIVE),
+    0x0504_0001: ("unknown command", OTHER_DRIVE),
+    0x0504_0002: ("invalid block size", OTHER_DRIVE),
     0x0504_0003: ("invalid sequence number", _FRAMES),
     0x0504_0004: ("CRC error", _FRAMES),
     0x0504_0005: ("out of memory", _BUSY),
-    0x0601_0000: ("the object can't be accessed like that", _OTHER_DRIVE),
-    0x0601_0001: ("the object can only be written", _OTHER_DRIVE),
-    0x0601_0002: ("the object can only be read", _OTHER_DRIVE),
-    NO_OBJECT: ("it has no such object", _OTHER_DRIVE),
-    NOT_MAPPABLE: ("the object can't be mapped into this PDO", _OTHER_DRIVE),
-    0x0604_0042: ("the objects are too many or too long for a PDO", _OTHER_DRIVE),
+    0x0601_0000: ("the object can't be accessed like that", OTHER_DRIVE),
+    0x0601_0001: ("the object can only be written", OTHER_DRIVE),
+    0x0601_0002: ("the object can only be read", OTHER_DRIVE),
+    NO_OBJECT: ("it has no such object", OTHER_DRIVE),
+    NOT_MAPPABLE: ("the object can't be mapped into this PDO", OTHER_DRIVE),
+    0x0604_0042: ("the objects are too many or too long for a PDO", OTHER_DRIVE),
     0x0604_0043: ("the parameters don't go together", _VALUE),
     0x0604_0047: ("incompatible inside the drive", _BUSY),
     0x0606_0000: ("a hardware error", _BUSY),
-    0x0607_0010: ("the value has another length", _OTHER_DRIVE),
-    0x0607_0012: ("the value is too long", _OTHER_DRIVE),
-    0x0607_0013: ("the value is too short", _OTHER_DRIVE),
-    NO_SUBINDEX: ("the object has no such sub-index", _OTHER_DRIVE),
+    0x0607_0010: ("the value has another length", OTHER_DRIVE),
+    0x0607_0012: ("the value is too long", OTHER_DRIVE),
+    0x0607_0013: ("the value is too short", OTHER_DRIVE),
+    NO_SUBINDEX: ("the object has no such sub-index", OTHER_DRIVE),
     0x0609_0030: ("the value is out of range", _VALUE),
     0x0609_0031: ("the value is too high", _VALUE),
     0x0609_0032: ("the value is too low", _VALUE),
@@ -48,7 +48,7 @@ _ABORTS = {
     0x0F00_FFB9: ("wrong node id", _FRAMES),
     0x0F00_FFBC: ("it is not in service mode", _CONTROL),
     0x0F00_FFBE: ("the password is wrong", _CONTROL),
-    0x0F00_FFBF: ("it has no such command", _OTHER_DRIVE),
+    0x0F00_FFBF: ("it has no such command", OTHER_DRIVE),
     0x0F00_FFC0: ("not in this NMT state", _CONTROL),
 }
 ABORT_CODES = tuple(_ABORTS)

@@ -9,7 +9,6 @@ import struct
 
 import pytest
 from simulated_time import Bench
-from test_refused_bring_up import ABSENT, WORDS, refuse
 
 from epos2_ros.configuration.driver import AxisConfig, DriverConfig
 from epos2_ros.errors import ConfigurationError, DriveError
@@ -117,47 +116,6 @@ def test_limits_that_its_signed_objects_do_not_hold_are_refused() -> None:
     with pytest.raises(ConfigurationError, match="axes.z1.max_velocity"):
         bench(Copley(2), max_velocity=fastest * 1.01)
     bench(Copley(2), max_velocity=fastest * 0.99)
-
-
-class Refusing(Copley):
-    """Its n-th access is refused with a code."""
-
-    def __init__(self, nth: int, code: int) -> None:
-        self.count, self.met, self._nth, self._refuse = -1, b"", nth, refuse(code)
-        super().__init__(2)
-
-    def _on_sdo(self, data: bytes) -> None:
-        if data[0] >> 5 in (1, 2):
-            self.count += 1
-            if self.count == self._nth:
-                self.met = data
-        if data != self.met:
-            super()._on_sdo(data)
-        else:
-            self._send(SDO_ANSWER + self.node_id, self._refuse(data))
-
-
-def test_any_access_refused() -> None:
-    codes, nth = list(WORDS), 0
-    while True:
-        code = codes[nth % len(codes)]
-        drive = Refusing(nth, code)
-        made = bench(drive, bring_up=False)
-        line = ""
-        try:
-            made.bring_up()
-        except DriveError as error:
-            line = str(error)
-        if not drive.met:
-            break
-        nth += 1
-        index, subindex = struct.unpack_from("<HB", drive.met, 1)
-        if line == "":
-            assert index in (0x608F, 0x6091, 0x6092) and code in ABSENT
-            continue
-        assert line.startswith("z1 (node 2): can't ") and "\n" not in line
-        assert f"(0x{index:04X}-{subindex:02X})" in line and WORDS[code] in line
-    assert nth > 60
 
 
 # --- guarding -----------------------------------------------------------------------------------

@@ -11,7 +11,9 @@ import pytest
 import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from makers import facts
 
+from epos2_ros.bus.cl3e import Cl3eNode, Cl3eSettings
 from epos2_ros.bus.copley import CopleyNode, CopleySettings
 from epos2_ros.bus.epos2 import Epos2Node
 from epos2_ros.bus.link import Network
@@ -19,11 +21,12 @@ from epos2_ros.bus.settings import drive_settings
 from epos2_ros.commission.drive import main
 from epos2_ros.commission.drive_file import DriveFile, read_drive_file, to_yaml
 from epos2_ros.commission.parameter_access import DriveParameters, Values
-from epos2_ros.commission.stored import parameters_of
+from epos2_ros.commission.stored import INTEGERS, parameters_of
 from epos2_ros.configuration.driver import AxisConfig, DriverConfig
 from epos2_ros.errors import ConfigurationError, DriveError
 from epos2_ros.protocol.frame import Frame
 from epos2_ros.sim.can_bus import SimulatedBus
+from epos2_ros.sim.cl3e import Cl3e, Firmware
 from epos2_ros.sim.copley import Copley
 from epos2_ros.sim.epos2 import Dictionary, Epos2
 from epos2_ros.sim.realtime import RealtimeSimulator, build_copley_drives
@@ -95,12 +98,15 @@ def configured(make: Callable[[int], Any], node_id: int) -> tuple[Bench, Any]:
     drive = make(node_id)
     bench = Bench(drive)
     epos2 = isinstance(drive, Epos2)
+    family = "epos2" if epos2 else type(drive).__name__.lower()
     axis = AxisConfig(
         "arm", node_id, min_position=-1.0, max_position=2.0, max_velocity=1.0,
         max_acceleration=5.0, stop_deceleration=3.0, max_following_error=777,
-        velocity_notation=-1 if epos2 else 0, drive="epos2" if epos2 else "copley",
+        velocity_notation=-1 if epos2 else 0, drive=family,
     )  # fmt: skip
-    if epos2:
+    if family == "cl3e":
+        Cl3eNode(bench.network, Cl3eSettings.of(axis)).configure()
+    elif epos2:
         settings = drive_settings(axis, DriverConfig(axes=(axis,)))
         Epos2Node(bench.network, settings).configure()
     else:
@@ -109,7 +115,7 @@ def configured(make: Callable[[int], Any], node_id: int) -> tuple[Bench, Any]:
     return bench, drive
 
 
-@pytest.mark.parametrize("make", [Epos2, note, Copley])
+@pytest.mark.parametrize("make", [Epos2, note, Copley, Cl3e])
 def test_another_drive_is_made_the_same_through_a_file(
     make: Callable[[int], Any], tmp_path: Path
 ) -> None:
@@ -249,15 +255,58 @@ def test_drive_that_falls_silent_gives_one_line_of_where() -> None:
 
 def test_what_is_no_setting_is_in_no_table() -> None:
     """Commands, set-points, firmware download, memory access, and what would move it on the bus."""
-    maxon, copley = parameters_of(0xFB), parameters_of(0xAB)
+    maxon, copley, nanotec = parameters_of(0xFB), parameters_of(0xAB), parameters_of(0x26C)
+    for index in (0x1010, 0x1F50, 0x2005, 0x2009, 0x2300, 0x3203, 0x4000, 0x6040, 0x607A, 0x60FE):
+        assert not [address for address in nanotec if address.startswith(f"0x{index:04X}")]
     for index in (0x1010, 0x1011, 0x1013, 0x2000, 0x2001, 0x2026, 0x2FFF, 0x6040, 0x607A, 0x60FF):
         assert not [address for address in maxon if address.startswith(f"0x{index:04X}")]
     for index in (0x1010, 0x2000, 0x2001, 0x2010, 0x2183, 0x21B0, 0x6040, 0x6064, 0x607A, 0x60C1):
         assert not [address for address in copley if address.startswith(f"0x{index:04X}")]
     for address, unit in (("0x6085-00", "rpm/s"), ("0x6410-01", "mA"), ("0x60FB-01", "")):
         assert maxon[address].unit == unit  # quick stop, continuous current, position P-gain
-    with pytest.raises(ConfigurationError, match="vendor 0x0000026C are not known"):
-        parameters_of(0x26C)
+    with pytest.raises(ConfigurationError, match="vendor 0x0000026D are not known"):
+        parameters_of(0x26D)
+
+
+@pytest.mark.parametrize(
+    ("vendor", "file", "besides"),
+    [
+        (0xFB, "epos2_70_10_2126.csv", {0x2070}),
+        (0xFB, "epos2_50_5_2120.csv", set()),
+        (0xAB, "copley_accelnet_2016.csv", {0x608F, 0x6091, 0x6092}),
+        (0x26C, "cl3_fir_v1419.csv", {0x2067, 0x60A8, 0x60A9, 0x60F2}),
+    ],
+)
+def test_the_tables_are_what_the_maker_lets_be_written(
+    vendor: int, file: str, besides: set[int]
+) -> None:
+    """Types, too; `besides` is what other firmware or hardware of the family has."""
+    known = {(fact.index, fact.subindex): fact for fact in facts(file, 1)}
+    for address, parameter in parameters_of(vendor).items():
+        if parameter.is_pdo:
+            continue
+        fact = known.get((parameter.index, parameter.subindex))
+        if fact is None:
+            assert parameter.index in besides, address
+            continue
+        assert fact.access.startswith("rw"), address
+        if parameter.type in INTEGERS:
+            assert INTEGERS[parameter.type] == (fact.size, fact.signed), address
+
+
+@pytest.mark.parametrize("firmware", list(Firmware))
+def test_every_firmware_of_the_cl3e_can_be_dumped_and_made_alike(firmware: Firmware) -> None:
+    drive = Cl3e(4, firmware=firmware)
+    parameters = Bench(drive).parameters(4)
+    kept = parameters.read()
+    assert len(kept) > 150
+    for address in ("0x6085-00", "0x608F-01", "0x3202-00", "0x605A-00"):
+        changed = {"0x605A-00": 1}.get(address, kept[address] + 1)
+        assert parameters.restore({address: changed}) == []
+    assert {d.parameter.address for d in parameters.differences(kept)} == {
+        "0x6085-00", "0x608F-01", "0x3202-00", "0x605A-00"
+    }  # fmt: skip
+    assert parameters.restore(kept) == []
 
 
 # --- files ----------------------------------------------------------------------------------
