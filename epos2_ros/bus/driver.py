@@ -361,7 +361,7 @@ class Driver:
 
     def track(self) -> Tracking:
         """What the axes that follow trajectories are to do, and do."""
-        return self._reactor.call(lambda: tracked(self._machine, self._path.axes, now_us()))
+        return self._reactor.read(lambda: tracked(self._machine, self._path.axes, now_us()))
 
     def move_to(self, targets: Mapping[str, float], duration_s: float = 0.0) -> None:
         """Axes in profile position mode to positions [unit], leaving and arriving together.
@@ -454,11 +454,11 @@ class Driver:
 
     def snapshot(self) -> Snapshot:
         """Everything the topics show."""
-        return self._reactor.call(self._snapshot)
+        return self._reactor.read(self._snapshot)
 
     def joint_states(self) -> JointStates:
         """Where the joints are now; those that are not heard any more are left out."""
-        return self._reactor.call(self._joint_states)
+        return self._reactor.read(self._joint_states)
 
     # ------------------------------------------------------------------ inside
 

@@ -2,7 +2,8 @@
 
 Jobs run in the order in which they come, so no thread can starve another by holding a lock. What
 is due by the clock runs after those that have come meanwhile: it sees all that is known by then.
-What raises is reported, and the next job runs.
+After jobs that only read nothing can have become due. What raises is reported, and the next job
+runs.
 
 Who calls waits for the answer, so callers are bounded by themselves; what the bus sends is not, and
 is refused where too much of it waits already.
@@ -10,6 +11,7 @@ is refused where too much of it waits already.
 
 from __future__ import annotations
 
+import math
 import queue
 import threading
 from collections.abc import Callable
@@ -40,6 +42,7 @@ class Reactor:
         self._step = step
         self._on_error = on_error
         self._inbox: queue.SimpleQueue[Job] = queue.SimpleQueue()
+        self._changed = True  # by a job, since `step` was called
         self._stopping = False
         self._thread = threading.Thread(target=self._run, name="reactor", daemon=True)
 
@@ -55,7 +58,12 @@ class Reactor:
 
     def post(self, job: Job) -> None:
         """Run `job` soon; from any thread."""
-        self._inbox.put(job)
+
+        def changing() -> None:
+            self._changed = True
+            job()
+
+        self._inbox.put(changing)
 
     def offer(self, job: Job) -> bool:
         """`post`, unless too much waits already; whether it was taken."""
@@ -69,6 +77,15 @@ class Reactor:
 
         BusError when the reactor does not get to it.
         """
+
+        def changing() -> T:
+            self._changed = True
+            return function()
+
+        return self.read(changing)
+
+    def read(self, function: Callable[[], T]) -> T:
+        """As `call`, for what changes nothing."""
         if not self._thread.is_alive():
             raise BusError("the bus is not open: configure first")
         answer: Future[T] = Future()
@@ -79,7 +96,7 @@ class Reactor:
             except Exception as error:  # handed to the caller
                 answer.set_exception(error)
 
-        self.post(job)
+        self._inbox.put(job)
         until_s = now_us() / 1e6 + CALL_TIMEOUT_S
         while now_us() / 1e6 < until_s:
             try:
@@ -98,8 +115,12 @@ class Reactor:
         self._stopping = True
 
     def _run(self) -> None:
+        due_us = -math.inf
         while not self._stopping:
-            wait_s = (self._guarded_step() - now_us()) / 1e6
+            if self._changed or now_us() >= due_us:
+                self._changed = False
+                due_us = self._guarded_step()
+            wait_s = (due_us - now_us()) / 1e6
             try:
                 job = self._inbox.get(timeout=max(0.0, wait_s))
             except queue.Empty:

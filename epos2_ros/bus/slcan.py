@@ -63,19 +63,19 @@ class SlcanBus(slcanBus):
 
     def _read_line(self, timeout: float | None) -> bytes | None:
         """The next line; None if none has come in time (`None`: without limit)."""
-        until = None if timeout is None else time.monotonic() + timeout
+        until = time.monotonic() + (timeout or 0.0)
         while (end := _END.search(self._buffer)) is None:
             if len(self._buffer) > LONGEST_LINE:
                 self._drop(bytes(self._buffer))
                 self._buffer.clear()
                 self._in_step = False  # what follows is no whole line either
-            left = None if until is None else max(0.0, until - time.monotonic())
             with error_check("Could not read from serial device"):
-                self.serialPortOrig.timeout = left
+                if self.serialPortOrig.timeout != timeout:  # to set it takes longer than to read
+                    self.serialPortOrig.timeout = timeout
                 chunk = self.serialPortOrig.read(max(1, self.serialPortOrig.in_waiting))
-            if not chunk:
-                return None
             self._buffer += chunk
+            if not chunk or (timeout and time.monotonic() > until):
+                return None
         line = bytes(self._buffer[: end.start()])
         if self._heard and end.group() == b"\a":
             self.on_reject("frame refused by the serial adapter", "the adapter can't send a frame")

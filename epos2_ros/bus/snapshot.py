@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from epos2_ros.bus.health import BusState
@@ -114,6 +114,10 @@ def axis_snapshots(
     for drive, config in zip(machine.drives, machine.config.axes, strict=True):
         units, known = AxisUnits.of(config), drive.position_qc is not None
         silent_us, inhibit_us = now_us - drive.heard_us, machine.config.state_inhibit_us
+        clocked = machine.time.drives.index(drive) if drive in machine.time.drives else None
+        follower = followers.get(drive)
+        account = follower.account if follower else None
+        used, size = (account.level(path_ms), account.size) if account else (0, 0)
         snapshot = AxisSnapshot(
             joint=drive.joint,
             node_id=drive.node_id,
@@ -121,41 +125,25 @@ def axis_snapshots(
             position=units.from_qc(float(drive.position_qc or 0)) if known else nan,
             velocity=units.from_qc_s(drive.velocity_now_qc_s(inhibit_us)) if known else nan,
             effort=nan if drive.current_ma is None else drive.current_ma / 1000,
-            used=0,
-            free=0,
-            size=0,
-            buffered_ms=0.0,
+            used=used,
+            free=size - used,
+            size=size,
+            buffered_ms=max(0.0, account.ahead_ms(path_ms)) if account else 0.0,
             status_word=drive.buffer_status,
             fault=drive.trouble(),
             emergency=drive.emergency,
             following_error_qc=drive.following_error_qc,
-            clock_offset_us=None,
-            clock_drift_ppm=None,
+            clock_offset_us=None if clocked is None else float(clock.offset_us[clocked]),
+            clock_drift_ppm=None if clocked is None else 1e6 * float(clock.drift[clocked]),
             executed_qc=drive.demand_qc,
-            records_sent=0,
+            records_sent=account.sent if account else 0,
             homed=drive.homed,
+            reserve_ms=account.reserve_ms if account else None,
+            buffer_flags={}
+            if follower is None
+            else follower.buffer.flags(drive.buffer_status, drive.statusword),
             silent_s=silent_us / 1e6 if deaf or machine.group.silent(drive) else 0.0,
             identity=identities.get(drive.joint),
         )
-        if drive in machine.time.drives:
-            index = machine.time.drives.index(drive)
-            snapshot = replace(
-                snapshot,
-                clock_offset_us=float(clock.offset_us[index]),
-                clock_drift_ppm=1e6 * float(clock.drift[index]),
-            )
-        if drive in followers:
-            account, pvt = followers[drive].account, followers[drive].buffer
-            used = account.level(path_ms)
-            snapshot = replace(
-                snapshot,
-                used=used,
-                free=account.size - used,
-                size=account.size,
-                buffer_flags=pvt.flags(drive.buffer_status, drive.statusword),
-                buffered_ms=max(0.0, account.ahead_ms(path_ms)),
-                reserve_ms=account.reserve_ms,
-                records_sent=account.sent,
-            )
         snapshots.append(snapshot)
     return tuple(snapshots)

@@ -67,7 +67,8 @@ if TYPE_CHECKING:
 
 DIAGNOSTICS_PERIOD_S = 1.0
 EVENTS_KEPT = 1000  # of an output, for a subscriber that is slow: they come in bursts
-CLOCK_READINGS = 3
+CLOCK_READINGS = 3  # unless one took no longer than …
+CLOCK_READING_NS = 20_000
 SET_BACK_NS = 1_000_000_000  # a clock that is behind its last reading by more
 SIGNALS_S = 0.25  # between looks for signals
 SWITCH_INTERVAL_S = 0.0005  # how long a received frame waits for a computing thread; Python: 5 ms
@@ -392,7 +393,7 @@ class DriverNode(LifecycleNode):
                 self._joint_states.publish(messages.joint_state(states, _time(stamp_ns)))
 
     def _publish_buffer_status(self) -> None:
-        if (driver := self._driver) is not None:
+        if (driver := self._driver) is not None and self._buffer_status.get_subscription_count():
             snapshot = driver.snapshot()
             stamp = self.get_clock().now().to_msg()
             self._buffer_status.publish(messages.buffer_status(snapshot, self._channel, stamp))
@@ -423,7 +424,10 @@ class DriverNode(LifecycleNode):
         for _ in range(CLOCK_READINGS):  # the one that took least was not interrupted
             before = time.monotonic_ns()
             now = self.get_clock().now().nanoseconds
-            readings.append((time.monotonic_ns() - before, now - before))
+            took = time.monotonic_ns() - before
+            readings.append((took, now - before))
+            if took < CLOCK_READING_NS:
+                break
         return min(readings)[1]
 
     def _on_event(self, event: Event) -> None:

@@ -39,6 +39,12 @@ def wrapped(difference_us: float) -> float:
     return (difference_us + WRAP_US // 2) % WRAP_US - WRAP_US // 2
 
 
+def _median(values: np.ndarray) -> np.ndarray:
+    """Along the first axis; NumPy's own takes ten times as long for so few values."""
+    ordered, half = np.sort(values, axis=0), len(values) // 2
+    return (ordered[half] + ordered[-half - 1]) / 2
+
+
 class MasterClock:
     """The time since TIME, and what to tell each drive after a SYNC. Times in µs.
 
@@ -110,12 +116,12 @@ class MasterClock:
             self._sync_us, self._sync_host_us = now_us, host_us
         else:
             late_us = self._late_us(host_us)
-            late = float(np.median(late_us[answered]))
+            late = float(_median(late_us[answered]))
             self._rest_us = late - late_us
             self._rest_us[np.abs(self._rest_us) > COARSEST_CLOCK_US] = 0.0
             self._sync_host_us = host_us + late
             due_us = self._shown_us + passed_us / (1 + self.drift)
-            self._sync_us = self._slew(float(np.median(due_us[answered])))
+            self._sync_us = self._slew(float(_median(due_us[answered])))
         if self._master is not None:
             known = latched[self._master] is not None
             self._sync_us = float(self._free_us[self._master]) if known else now_us
@@ -168,9 +174,9 @@ class MasterClock:
         x, ahead = seen[:, :1] - seen[-1, 0], seen[:, 1:] - seen[:, :1]
         # The noise is the host's and common to all drives: one verdict per SYNC.
         bent = ahead - self.drift * x
-        noise = (bent - np.median(bent, axis=0)).mean(axis=1)
-        deviation = np.abs(noise - np.median(noise))
-        self.noise_us = float(np.median(deviation))
+        noise = (bent - _median(bent)).mean(axis=1)
+        deviation = np.abs(noise - _median(noise))
+        self.noise_us = float(_median(deviation))
         good = deviation <= max(OUTLIER * self.noise_us, OUTLIER_FLOOR_US)
         self.outliers += int(not good[-1])
         x, ahead = x[good], ahead[good]
