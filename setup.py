@@ -7,6 +7,7 @@ from setuptools import find_packages, setup
 NAME = "epos2_ros"
 SHARE = f"share/{NAME}"
 
+EXAMPLES = [file for kind in ("service", "xml", "yaml") for file in glob(f"examples/*.{kind}")]
 PLANNERS = ["ruckig", "toppra"]  # for fresh trajectories
 
 setup(
@@ -22,7 +23,7 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (SHARE, ["package.xml"]),
         (f"{SHARE}/config", glob("config/*.yaml")),
-        (f"{SHARE}/examples", glob("examples/*.yaml") + glob("examples/*.service")),
+        (f"{SHARE}/examples", EXAMPLES),
         (f"{SHARE}/examples/moveit", glob("examples/moveit/*")),
         (f"{SHARE}/launch", glob("launch/*.launch.py")),
         (f"lib/{NAME}", glob("scripts/*")),  # where `ros2 run` looks

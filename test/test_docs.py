@@ -388,6 +388,9 @@ def check_other(line: list[str]) -> None:
         assert line[2] == "epos2_ros"
         if line[3:]:
             check_program(line[3], line[4:])
+    elif line[:2] == ["ros2", "security"]:  # of ros-jazzy-sros2
+        for path in (argument for argument in line if "/share/epos2_ros/" in argument):
+            assert (ROOT / path.partition("/share/epos2_ros/")[2]).exists()
     elif line[0] not in (*OF_THE_SYSTEM, "echo") and line[:2] not in (
         ["ros2", "topic"],
         ["ros2", "param"],
