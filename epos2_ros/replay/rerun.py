@@ -61,6 +61,7 @@ class Rerun:
         self._pdo_bytes: dict[int, int] = {}
         for drive in self._machine.drives:
             self._pdo_bytes |= drive.pdo_bytes
+        self._recorded = {d.node_id for d in self._machine.drives if d.family is epos2.FAMILY}
         self._names = {drive.node_id: str(drive) for drive in self._machine.drives}
         self._repeater = Repeater(self._machine)
         self._phase = self._group.phase
@@ -247,6 +248,8 @@ class Rerun:
         if len(data) != _LENGTHS.get(function, -1):
             return f"{kind} {data.hex(' ')}".rstrip()
         if function == epos2.RPDO1:
+            if line.can_id & 0x7F not in self._recorded:
+                return f"segment {data.hex(' ')}"
             position, velocity, time = Record.unpack(data)
             return f"{kind} to {position} qc, velocity {velocity}, {time} ms"
         number = int.from_bytes(data, "little")

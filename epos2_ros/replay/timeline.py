@@ -14,6 +14,7 @@ from epos2_ros.buslog.asc import EventLine, FrameLine
 from epos2_ros.configuration.driver import DriverConfig
 from epos2_ros.protocol import cia402, epos2
 from epos2_ros.protocol.cia402 import State
+from epos2_ros.protocol.families import FAMILIES
 from epos2_ros.replay import words
 from epos2_ros.replay.decode import (
     Emergency,
@@ -101,7 +102,7 @@ class Timeline:
         self._trajectory = ""
         self._nodes: dict[int, _Node] = {}
         for axis in config.axes if config else ():
-            self._node(axis.node_id).mode = 7 if axis.drive == "epos2" else 1
+            self._node(axis.node_id).mode = FAMILIES[axis.drive].rest_operation
         self._unknown: dict[tuple[str, int], int] = {}
         self._joints = {axis.node_id: axis.joint for axis in config.axes} if config else {}
         self._group = [a.node_id for a in config.axes] if config else []

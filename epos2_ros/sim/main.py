@@ -216,7 +216,9 @@ def main(argv: list[str] | None = None) -> int:
         record=arguments.log is not None,
         dictionary=arguments.dictionary,
     )
-    copley = build_copley_drives(arguments.copley, drift_ppm=arguments.drift_ppm)
+    copley = build_copley_drives(
+        arguments.copley, drift_ppm=arguments.drift_ppm, record=arguments.log is not None
+    )
     cl3e = build_cl3e_drives(
         arguments.cl3e,
         counts_per_turn=arguments.counts_per_turn,
@@ -237,7 +239,7 @@ def main(argv: list[str] | None = None) -> int:
     if log is not None:
         log.close()
     if arguments.log is not None:
-        save_log(arguments.log, drives)
+        save_log(arguments.log, [*drives, *copley])
     return 0
 
 

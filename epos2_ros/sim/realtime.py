@@ -89,6 +89,7 @@ def build_copley_drives(
     *,
     drift_ppm: float = 0.0,
     seed: int = 0,
+    record: bool = False,
     extrapolated: Collection[int] = (),
 ) -> list[Copley]:
     """Likewise; the encoders of `extrapolated` nodes are sampled once a loop, not quadrature."""
@@ -98,6 +99,8 @@ def build_copley_drives(
             node_id,
             quadrature=node_id not in extrapolated,
             drift_ppm=rng.uniform(-drift_ppm, drift_ppm),
+            offset_us=rng.uniform(0.0, 2.0**32),
+            record=record,
             serial=node_id,
             t_us=now_us(),
         )
@@ -128,7 +131,7 @@ def build_cl3e_drives(
     ]
 
 
-def save_log(path: str | Path, drives: Sequence[Epos2]) -> None:
+def save_log(path: str | Path, drives: Sequence[Epos2 | Copley]) -> None:
     """Writes what recording drives have executed as `node_<id>_<column>` into an .npz file."""
     save(path, [(drive.node_id, drive.recorder) for drive in drives if drive.recorder])
 

@@ -215,6 +215,44 @@ def test_lost_segments_are_sent_again_without_a_stop(first: int, count: int) -> 
     assert made.group.phase is Phase.STANDING
 
 
+def test_every_segment_is_lost_in_turn(fuzz: int) -> None:
+    """One of twelve in a motion, another one of them in the next; `--fuzz 1000` is 10,000 of them.
+
+    The path is kept, or all stand within the buffer's half second and a ramp.
+    """
+    losses = stops = 0
+    for motion in range(fuzz):
+        made = bench("epos2", "copley")
+        duration_s = 12.0 + motion // 12 % 50
+        numbers = itertools.count()
+        fresh: set[bytes] = set()
+
+        def wanted(
+            data: bytes, place: int = motion % 12, numbers: itertools.count = numbers,
+            fresh: set[bytes] = fresh,
+        ) -> bool:  # fmt: skip
+            if data in fresh or data[0] & 0x80:
+                return False  # sent again, or a command
+            fresh.add(data)
+            return next(numbers) % 12 == place
+
+        lost = lose(made.drives[1], wanted)
+        try:
+            run_motion(made, there_and_back(duration_s, joints=2))
+        except MotionAborted as error:
+            assert "its PVT buffer has run empty" in str(error)
+            assert not any(drive.ip_active for drive in made.drives)
+            stops += 1
+        else:
+            t_ms, demand = executed(made.drives[1])
+            assert np.abs(demand - commanded_qc(t_ms, 1, duration_s)).max() <= 1.0
+            assert len(t_ms) == 1000 * duration_s + 2
+        losses += len(lost)
+    assert losses >= 7 * fuzz
+    assert stops == 0
+    print(f"{losses} segments lost in {fuzz} motions, {stops} stops")
+
+
 def test_a_repeated_segment_does_no_harm() -> None:
     made = bench("epos2", "copley")
     made.path.submit(there_and_back(3.0, joints=2), None, made.now_us)
@@ -355,12 +393,14 @@ def test_moves_and_trajectories_in_turn() -> None:
     assert [drive.position_demand for drive in made.drives] == [0, 0]
 
 
-def test_a_joint_of_profiles_is_refused_and_not_missed() -> None:
-    axes = makers("epos2", "copley")
+@pytest.mark.parametrize("family", ["epos2", "copley"])
+def test_a_joint_of_profiles_is_refused_and_not_missed(family: str) -> None:
+    axes = makers("epos2", family, max_velocity=2.0, max_acceleration=8.0)
     axes = axes[0], replace(axes[1], trajectory="profile")
     made = Bench(DriverConfig(axes=axes))
     made.enable()
     assert made.drives[1].dictionary[0x6060, 0].value == 1
+    made.wait(made.machine.move_to({"joint_1": 0.0, "joint_2": 0.1}))
     run_motion(made, there_and_back(joints=1))
     with pytest.raises(TrajectoryError, match="joint 'joint_2' is unknown"):
         made.path.submit(there_and_back(joints=2), None, made.now_us)

@@ -23,7 +23,7 @@ import can
 import numpy as np
 import pytest
 from recorded import Recorded, few
-from simulated_time import axes
+from simulated_time import axes, move_on
 from two_processes import TARGET_M, Drives, rig
 
 from epos2_ros.buslog import inputs
@@ -285,7 +285,7 @@ def test_take_overs_stops_and_later_trajectories_are_run_again_the_same(tmp_path
     assert not said.count("≠")
 
 
-def test_moves_of_copley_axes_are_run_again_the_same(tmp_path, replay):
+def test_moves_and_trajectories_of_copley_axes_are_run_again_the_same(tmp_path, replay):
     first, second = axes(2)
     limits = {"max_velocity": 2.0, "max_acceleration": 4.0}
     config = DriverConfig(axes=(first, replace(second, drive="copley", **limits)))
@@ -296,9 +296,11 @@ def test_moves_of_copley_axes_are_run_again_the_same(tmp_path, replay):
     made.machine.move_to({"joint_2": -0.3})
     made.run(0.3)
     made.wait(made.group.halt())
+    move_on(made)
     made.close()
     said = replay(tmp_path / "run.asc")
     assert said.count("asked to move joint_2 to 0.3") == 1
+    assert said.count("started on one SYNC") == 3
     assert said.count("joint_2 .*state: .* → operation enabled") == 1
     assert said.count("joint_2 .*controlword .*new set-point") >= 2
     assert said.count("halt: done") == 1

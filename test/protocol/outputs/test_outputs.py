@@ -134,6 +134,30 @@ def test_raster_scan_on_an_epos2(examples: File, lag_ms: float) -> None:
         assert np.max(np.abs(late)) <= LOOP_US
 
 
+@pytest.mark.parametrize("lag_ms", [0.0, 1.0])
+def test_raster_scan_on_a_copley_drive_that_follows_a_trajectory(
+    examples: File, lag_ms: float
+) -> None:
+    """x by PVT segments, y by an EPOS2's records, on one SYNC; the times are those of its path."""
+    x, y = gantry().axes
+    config = DriverConfig(axes=(replace(x, drive="copley"), y))
+    drive = Copley(1, lag_ms=lag_ms, drift_ppm=80.0, offset_us=3e9)
+    camera = output("interval", "gantry_x", start=0.0005, interval=0.001, pulse=0.0005)
+    made = CompareBench(config, [camera], [drive, Epos2(2)])
+    made.enable()
+    message = yaml.safe_load((examples / "raster_scan.yaml").read_text())
+    made.path.submit(Trajectory.from_dict(message), None, made.now_us)
+    made.run(1.0)
+    made.wait(made.group.motion, 20.0)  # type: ignore[arg-type]
+    made.run(0.5)
+    events = made.of("camera")
+    assert len(events) == 1200
+    assert counts(events) == fired(drive)
+    pairs = zip(events, drive.module.fired, strict=True)
+    assert max(abs(event.t_us - pulse.t_us) for event, pulse in pairs) <= LOOP_US
+    assert made.notices == []
+
+
 def test_a_host_that_sees_sync_late_tells_the_same(examples: File) -> None:
     """An adapter without time stamps and a busy host: now and then up to 45 ms late."""
     drives = [Epos2(1), Epos2(2)]
