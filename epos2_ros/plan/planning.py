@@ -35,7 +35,7 @@ from epos2_ros.protocol.families import FAMILIES, follows_records
 from epos2_ros.protocol.frame import Frame
 from epos2_ros.protocol.pdo import SYNCHRONOUS
 from epos2_ros.protocol.phase import Phase
-from epos2_ros.protocol.timekeeper import HEARTBEAT_PERIOD_US
+from epos2_ros.protocol.timekeeper import HEARTBEAT_PERIOD_US, READ_SHARE
 
 Array = NDArray[np.float64]
 PIECE_MS = 1 << 17  # looked at in one piece
@@ -258,8 +258,9 @@ def _bus_load(
     config: DriverConfig, axes: Sequence[AxisPlan], sent_ms: Array, end_ms: int
 ) -> BusLoad:
     """A drive answers each SYNC by its synchronous PDOs, and is asked twice in the buffer time what
-    its buffer holds (SDO, there and back). Its position comes at the state rate where it is no
-    such answer; what its buffer has taken, for each record where that is in a PDO."""
+    its buffer holds (SDO, there and back); what its clock was at each SYNC (SDO, too), as far as
+    these take no more than READ_SHARE of the bus. Its position comes at the state rate where it is
+    no such answer; what its buffer has taken, for each record where that is in a PDO."""
     count, end_s = len(axes), max(end_ms, 1) / 1000
     window_s = min(end_s, 1.0)
     pdos_per_s = count * 2 * 2 / config.buffer_time
@@ -274,8 +275,11 @@ def _bus_load(
                 pdos_per_s += config.state_rate
             elif status in tpdo.objects:
                 pdos_per_s += len(axis.records) / end_s
+    clocks = sum(FAMILIES[axis.config.drive].has_clock for axis in axes)
+    reads_bits_s = 2 * PDO_BITS * clocks / config.sync_period
     bits_per_s = (
         pdos_per_s * PDO_BITS
+        + min(reads_bits_s, READ_SHARE * config.bitrate)
         + (SYNC_BITS + count * STAMP_BITS) / config.sync_period
         + HEARTBEAT_BITS * (1e6 / HEARTBEAT_PERIOD_US + count * 1e3 / DRIVE_HEARTBEAT_MS)
     )
