@@ -37,6 +37,7 @@ setup(
         "numpy",
         "python-can[multicast,serial]~=4.5",
         "pyyaml",
+        "rich",  # optional: for the program `monitor` alone
     ],
     extras_require={
         # ROS 2 Jazzy from PyPI, for a machine without a ROS installation

@@ -21,7 +21,7 @@ from ament_index_python.packages import get_package_prefix, get_package_share_di
 from epos2_ros import __main__ as command
 
 ROOT = Path(__file__).resolve().parent.parent
-PROGRAMS = {"driver", "simulator", "scan", "check", "drive", "replay", "plan", "demo"}
+PROGRAMS = {"driver", "simulator", "scan", "check", "drive", "replay", "plan", "monitor", "demo"}
 TIMEOUT_S = 100
 INSTALLED = Path(sys.executable).parent / "epos2_ros"
 INSTALLED_BEFORE = INSTALLED.exists()
@@ -261,6 +261,7 @@ class TestManifest:
         "canopen": "canopen-pip",
         "matplotlib": "python3-matplotlib",
         "numpy": "python3-numpy",
+        "rich": "python3-rich",
         "yaml": "python3-yaml",
     }
     OPTIONAL = {"control_msgs", "numba"}

@@ -50,6 +50,7 @@ from epos2_ros.bus.supervisor import described
 from epos2_ros.configuration.arguments import given_parameters
 from epos2_ros.configuration.driver import ClockLimits, DriverConfig
 from epos2_ros.configuration.files import DRIVER
+from epos2_ros.configuration.names import Names
 from epos2_ros.configuration.outputs import CompareConfig
 from epos2_ros.errors import Epos2RosError, TrajectoryError
 from epos2_ros.motion.move import target_of
@@ -194,8 +195,7 @@ class DriverNode(LifecycleNode):
         driver.configure()
         gc.freeze()
         self._driver = driver
-        namespace, channel = self.get_namespace().strip("/"), config.channel
-        self._channel = f"{namespace}/{channel.lstrip('/')}" if namespace else channel
+        self._channel = Names(self.get_fully_qualified_name()).bus(config.channel)
         self._clock_limits = config.clock_limits
         if self._action is not None:
             self._action.configured(config)
