@@ -78,7 +78,8 @@ def write_csv(plan: Plan, file: TextIO) -> None:
     """The records of each axis as its drive gets them, in order.
 
     `velocity` is in the drive's velocity units, `path_ms` when the segment ends, `frame` as
-    `cansend` takes it. Record 0 is not sent: it is where the axis stands at the start.
+    `cansend` takes it. Record 0 is not sent, it is where the axis stands at the start; a Copley
+    drive gets that position before the first segment.
     """
     table = csv.writer(file)
     table.writerow(CSV_COLUMNS)

@@ -805,7 +805,8 @@ class Copley(Slave):
             next_us = self.now_us + LOOP_US / self.rate
             self._see(count, self.extrapolated, self.now_us, next_us)
         for pin in self.pins:
-            self._sample(pin)
+            if pin.word:  # else it has no function
+                self._sample(pin)
         driven = self._moved is not None or self._profile is not None or self._path is not None
         resting = not driven and self._shaft == before
         self._tick_us = INF if resting else self.now_us + LOOP_US / self.rate

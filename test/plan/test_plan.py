@@ -163,6 +163,40 @@ def test_the_table_is_what_the_records_do(name, command, tmp_path):
     assert ended.figure("duration") == f"{path_ms / 1000:.3f} s"
 
 
+def test_records_of_both_makers(command, tmp_path):
+    """Of a Copley axis the frames say where each segment starts: decoded, they keep the path."""
+    params = CONFIG / "mixed.yaml"
+    arguments = ("--params", params, "--csv", "records.csv")
+    ended = command(EXAMPLES / "pick_place.yaml", *arguments)
+    assert (ended.status, ended.err) == (0, "")
+    trajectory = example("pick_place")
+    by_joint = read_csv(tmp_path / "records.csv")
+    assert tuple(by_joint) == trajectory.joint_names
+    assert {float(ended.row(joint)[2]) <= 1.0 for joint in by_joint} == {True}
+    rows, column = by_joint["shoulder_lift_joint"], 1
+    frames = [row["frame"].split("#") for row in rows[1:]]
+    assert {can_id for can_id, _ in frames} == {"202"}
+    data = [bytes.fromhex(text) for _, text in frames]
+    assert [one[0] for one in data] == [n % 8 for n in range(1, len(data) + 1)]  # 0.1 counts/s
+    starts = [int.from_bytes(one[2:5], "little", signed=True) for one in data]
+    speeds = [int.from_bytes(one[5:8], "little", signed=True) * 0.1 for one in data]
+    pieces = [np.array([starts[0]])]
+    for n in range(len(data) - 1):
+        h = data[n][1] / 1000
+        u = np.arange(1, data[n][1] + 1) / data[n][1]
+        pieces.append(
+            (2 * u**3 - 3 * u**2 + 1) * starts[n]
+            + (u**3 - 2 * u**2 + u) * h * speeds[n]
+            + (3 * u**2 - 2 * u**3) * starts[n + 1]
+            + (u**3 - u**2) * h * speeds[n + 1]
+        )
+    path = np.concatenate(pieces)
+    commanded = Commanded(trajectory, zero_s=0.001).at(np.arange(len(path)) / 1000)
+    assert len(path) == math.ceil(trajectory.duration_s * 1000 - 1e-6) + 2
+    assert np.abs(path - commanded[:, column] * QC_PER_UNIT["rad"]).max() <= 1.0 + 1e-6
+    assert data[-1][1] == 0
+
+
 def test_largest_velocity_and_acceleration_are_those_of_the_polynomial(command, tmp_path):
     """One cubic over 200 ms and exactly on the grid: it needs no rounding to be followed."""
     params = parameters(
