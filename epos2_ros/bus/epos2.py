@@ -99,7 +99,7 @@ class Epos2Node:
             (epos2.MAX_FOLLOWING_ERROR, 0, s.max_following_error_qc, ("max_following_error",)),
             (epos2.SOFTWARE_POSITION_LIMIT, 1, s.min_position_qc, _LIMITS),
             (epos2.SOFTWARE_POSITION_LIMIT, 2, s.max_position_qc, _LIMITS),
-            (epos2.MAX_PROFILE_VELOCITY, 0, s.max_velocity, ("max_velocity",)),
+            (epos2.MAX_PROFILE_VELOCITY, 0, s.max_velocity, ("max_velocity", "velocity_notation")),
             (epos2.PROFILE_VELOCITY, 0, s.warning_velocity, ("max_velocity",)),
             (epos2.MAX_ACCELERATION, 0, s.max_acceleration_rpm_s, ("max_acceleration",)),
             (epos2.PROFILE_ACCELERATION, 0, s.warning_acceleration_rpm_s, ("max_acceleration",)),

@@ -96,16 +96,17 @@ def _unit_qc_s(axis: AxisConfig) -> float:
     """The unit in which the velocities of its records are told."""
     units, pvt = AxisUnits.of(axis), FAMILIES[axis.drive].pvt
     assert pvt is not None
-    fastest = VELOCITY_HEADROOM * (axis.max_velocity or units.velocity_range)
+    fastest = VELOCITY_HEADROOM * (axis.max_velocity or units.velocity_unasked)
     return pvt.velocity_unit_qc_s(units, abs(units.to_qc_s(fastest)))
 
 
 def _velocity(axis: AxisConfig, config: DriverConfig, headroom: float) -> float:
     """What an axis may reach [unit/s]; without a limit what its drive can hold."""
     units = AxisUnits.of(axis)
-    most = units.velocity_range
     if axis.max_velocity is None:
-        return most
+        return units.velocity_unasked
+    modest = axis.max_velocity <= units.velocity_unasked
+    most = units.velocity_unasked if modest else units.velocity_range
     rounding = 1.5 / _rounding_s(axis, config) / abs(units.qc_per_unit)
     return min(axis.max_velocity * headroom + rounding, most)
 

@@ -162,7 +162,7 @@ class FirstMotion:
         return talk.agreed("are these limits right?") or self._bad("set them, then check again")
 
     def _fastest(self) -> float:
-        return self._units.velocity_range
+        return self._units.velocity_unasked
 
     def _rpm(self, velocity: float) -> str:
         rpm = abs(self._units.to_qc_s(velocity)) / self._axis.counts_per_turn * 60

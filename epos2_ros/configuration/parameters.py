@@ -221,7 +221,10 @@ AXIS: dict[str, Spec] = {
     "direction": Spec(1, "1, or -1 when the joint turns against the motor", choices=(1, -1)),
     "offset": Spec(0.0, "joint position where the drive reads 0 [rad or m]", -1e6, 1e6),
     "velocity_notation": Spec(
-        0, "drive velocity unit is 10^n rpm (object 0x608B)", choices=(0, -1, -2, -3)
+        0,
+        "drive velocity unit is 10^n rpm (object 0x608B); by maxon's EDS max_velocity is at most "
+        "25,000 of these units",
+        choices=(0, -1, -2, -3),
     ),
     "min_position": Spec(-inf, "lower soft limit [rad or m]; -inf: none"),
     "max_position": Spec(inf, "upper soft limit [rad or m]; inf: none"),

@@ -74,7 +74,7 @@ class Limits:
                 (
                     low,
                     high,
-                    axis.max_velocity or units.velocity_range,
+                    axis.max_velocity or units.velocity_unasked,
                     np.inf if acceleration is None else acceleration,
                     acceleration or default,
                 )

@@ -128,6 +128,18 @@ class AxisUnits:
         rpm = min(float(MAX_PROFILE_VELOCITY_RPM), INT24_MAX * 10.0**self.velocity_notation)
         return abs(self.from_rpm(rpm))
 
+    @property
+    def velocity_unasked(self) -> float:
+        """Largest joint speed where none is configured [unit/s]: what any drive takes.
+
+        READING: maxon's EDS has 0x607F up to 25,000 whatever the velocity unit. So a drive may take
+        no more than 25,000 units, or no more than 25,000 rpm; what is asked for it may refuse.
+        """
+        if self.fastest_qc_s < math.inf:
+            return self.velocity_range
+        most_rpm = MAX_PROFILE_VELOCITY_RPM * 10.0**self.velocity_notation
+        return min(self.velocity_range, abs(self.from_rpm(most_rpm)))
+
     def velocity_object(self, velocity: float, parameter: str = "max_velocity") -> int:
         """A speed [unit/s, > 0] for 0x607F, 0x6081, 0x6099: [10^n rpm], rounded up."""
         if velocity > self.velocity_range * (1 + 1e-9):

@@ -156,6 +156,34 @@ def test_a_drive_that_can_t_send_its_clock_is_refused_as_clock_master() -> None:
     )
 
 
+# --- units --------------------------------------------------------------------------------------
+
+
+@BOTH
+@pytest.mark.parametrize("notation", [0, -1, -2, -3])
+@pytest.mark.parametrize("rpm", [None, 24.9, 249.0, 2_490.0])
+def test_velocity_units_as_fine_as_0x607f_lets_them_be(
+    dictionary: Dictionary, notation: int, rpm: float | None
+) -> None:
+    """By maxon's EDS it holds 25,000 at most. Read so, it is a limit in units."""
+    limit = None if rpm is None else rpm / 60 * 2 * np.pi / 100  # of a joint with a gear of 100
+    config = DriverConfig(axes=axes(1, velocity_notation=notation, max_velocity=limit))
+    drive = Epos2(1, dictionary=dictionary)
+    made = Bench(config, [drive], bring_up=False)
+    asked = rpm or 0
+    if dictionary is Dictionary.MAKER and asked > 25_000 * 10.0**notation:
+        with pytest.raises(DriveError) as refusal:
+            made.bring_up()
+        assert str(refusal.value).endswith(
+            "the value is too high (0x06090031); check axes.joint_1.max_velocity and "
+            "axes.joint_1.velocity_notation"
+        )
+    else:
+        made.bring_up()
+        made.enable()
+        assert drive.dictionary[0x607F, 0].value >= asked * 10.0**-notation * (1 - 1e-9)
+
+
 # --- the first record ---------------------------------------------------------------------------
 
 
