@@ -14,9 +14,9 @@ from epos2_ros.motion.curve import Curve
 from epos2_ros.motion.limits import MARGINS, Limits, check
 from epos2_ros.motion.pace import paced
 from epos2_ros.motion.reference import Reference, State
-from epos2_ros.motion.stream import Stream, is_streamed
+from epos2_ros.motion.stream import Operator, Stream, is_streamed
 from epos2_ros.motion.trajectory import Trajectory
-from epos2_ros.motion.transition import cross, resting_place
+from epos2_ros.motion.transition import GRACE_S, cross, resting_place
 
 Array = NDArray[np.float64]
 
@@ -138,16 +138,19 @@ def _stream(
     target[axes] = point
     rest = Curve.resting(target)
     check(rest, limits)
-    going = stream and stream.to(target, limits, at_s, due_s, asked_s)
-    if going:
-        return going
+    sent_s = due_s - asked_s
+    if stream is None:
+        operator = Operator.of(target[None, :], np.array([sent_s]))
+    else:
+        operator = stream.operator.sends(
+            target, stream.target, state.position, limits, sent_s, asked_s
+        )
+        going = stream.to(target, operator, limits, at_s, due_s)
+        if going:
+            return going
     same = partial(_same, current, state, False)
-    soonest_s = max(due_s - at_s, 0.0)
-    try:
-        way = cross(rest, state, limits, at_s, same, soonest_s)
-    except TrajectoryError:  # fast axes that brake slowly: there is time
-        way = cross(rest, state, limits, at_s, same, soonest_s + _unhurried_s(rest, state, limits))
-    return Stream.after(way, due_s)
+    soonest_s, grace_s = max(due_s - at_s, 0.0), GRACE_S + _unhurried_s(rest, state, limits)
+    return Stream.after(cross(rest, state, limits, at_s, same, soonest_s, grace_s), operator)
 
 
 def _unhurried_s(rest: Curve, state: State, limits: Limits) -> float:

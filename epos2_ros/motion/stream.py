@@ -9,7 +9,8 @@ turns back unless the points do, the axes keep their proportions, and when the p
 it comes to rest on the last. It lingers there, so that a further point needs no start.
 
 Where messages come late and in a bunch, their steps are begun one after another, a little faster
-than they were sent: the axes do not rush to where they would be.
+than they were sent: the axes do not rush to where they would be. Nor where the operator is faster
+than the velocity limit: they follow at the limit, as long as they are not too far behind.
 """
 
 from __future__ import annotations
@@ -37,11 +38,13 @@ _SHORTEST_S = 0.03
 # periods of the messages: there the velocity's spectrum has its zeros (of j2(πx), x = 1.83, 2.90).
 _EVEN = (2.895, 1.834)
 _STRETCHES = tuple(1.2**n for n in range(11))  # how much longer a step may take
+_LATE_S = 0.5  # and by how much at the most
 _STEADY = 8  # so many of these keep the operator's pace, too
 _CATCH_UP = 1.25  # so much faster than the operator the axes catch up after a host was late
 _PACE = 1.1 * _CATCH_UP  # and so much in a moment, steps being not quite even
 _BEHIND_S = 0.2  # and no more behind than this
 _KEPT_S = 0.4  # of the points that came, for the operator's pace
+_AHEAD_S = 0.4  # an operator may ask for so much more than the axes can do, at their fastest
 _INSTANTS = 100  # of the shortest step at which limits are looked at
 _STEP = ((np.zeros(1), np.ones(1)), (np.zeros(1),) * 2, (np.zeros(1),) * 2)
 
@@ -69,6 +72,75 @@ def is_streamed(trajectory: Trajectory) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
+class Operator:
+    """Who sends the points: what came lately, and how far ahead of the axes it is.
+
+    When a point was sent is known from its message: of a single point, that was as long before it
+    is due as the message gives it; of a window, whose points are a little ahead of the operator
+    always, it is when the last one is due.
+    """
+
+    sent_s: Array  # [points]
+    points: Array  # [points, axes]
+    ahead_s: Array  # [axes], what the way to the last one takes at the limits, less the time it had
+
+    @classmethod
+    def of(cls, points: Array, sent_s: Array) -> Operator:
+        return cls(sent_s, points, np.zeros(points.shape[1]))
+
+    def sends(
+        self,
+        point: Array,
+        target: Array,
+        place: Array,
+        limits: Limits,
+        sent_s: float,
+        asked_s: float,
+    ) -> Operator:
+        """The same with a further point [axes], due `asked_s` after it was sent.
+
+        The way to it begins at `target`, the last one, and is at most what is left of it from
+        `place`, where the axes will be. Raises TrajectoryError where it takes more than _AHEAD_S
+        longer than it was given, with all that came before.
+        """
+        since_s = max(sent_s - float(self.sent_s[-1]), 0.0) if len(self.sent_s) else 0.0
+        had_s = since_s + max(asked_s, _AHEAD_S)
+        way_s = self.ahead_s + np.abs(point - target) / limits.velocity
+        way_s = np.minimum(way_s, np.abs(point - place) / limits.velocity)
+        joint = int(np.argmax(way_s))
+        if way_s[joint] > had_s * (1 + RELATIVE_SLACK):
+            speed, unit = limits.velocity[joint] * way_s[joint] / had_s, limits.units[joint]
+            raise TrajectoryError(
+                f"joint '{limits.joints[joint]}': velocity {speed:.6g} {unit}/s needed to "
+                f"reach point 0, allowed {limits.velocity[joint]:.6g} {unit}/s"
+            )
+        all_s = np.append(self.sent_s, sent_s)
+        kept = all_s >= sent_s - _KEPT_S
+        return Operator(
+            all_s[kept],
+            np.vstack((self.points, point))[kept],
+            np.maximum(way_s - since_s, 0.0),
+        )
+
+    @property
+    def pace(self) -> Array:
+        """How fast it goes [axes]; messages that come in a bunch were sent evenly."""
+        if len(self.sent_s) < 2:
+            return np.full(self.points.shape[1], np.inf)
+        gaps_s = np.maximum(np.diff(self.sent_s), max(self.period_s, 1e-3))
+        pace: Array = np.max(np.abs(np.diff(self.points, axis=0)) / gaps_s[:, None], axis=0)
+        return pace
+
+    @property
+    def period_s(self) -> float:
+        """How often points come; 0 when that is not known."""
+        if len(self.sent_s) < 2:
+            return 0.0
+        mean_s = float(self.sent_s[-1] - self.sent_s[0]) / (len(self.sent_s) - 1)
+        return min(max(mean_s, 0.0), LINGER_S)
+
+
+@dataclass(frozen=True, eq=False)
 class Stream:
     """`base`, which ends at rest, and the steps from there on to `target`."""
 
@@ -77,17 +149,16 @@ class Stream:
     starts_s: Array  # [steps]
     durations_s: Array  # [steps]
     steps: Array  # [steps, axes]
-    dues_s: Array  # [points], of the last ones that came
-    points: Array  # [points, axes]
+    operator: Operator
 
     @classmethod
-    def after(cls, base: Motion, due_s: float | None = None) -> Stream:
-        """No steps yet: where `base` goes, which was due at `due_s`."""
+    def after(cls, base: Motion, operator: Operator | None = None) -> Stream:
+        """No steps yet: where `base` goes, which is the last point of an `operator` if any."""
         target = base.evaluate(np.array([base.end_s]))[0]
         none = np.zeros((0, len(target)))
-        if due_s is None:
-            return cls(base, target, np.zeros(0), np.zeros(0), none, np.zeros(0), none)
-        return cls(base, target, np.zeros(0), np.zeros(0), none, np.array([due_s]), target[None, :])
+        return cls(
+            base, target, np.zeros(0), np.zeros(0), none, operator or Operator.of(none, np.zeros(0))
+        )
 
     @property
     def end_s(self) -> float:
@@ -103,34 +174,26 @@ class Stream:
         return value
 
     def to(
-        self, target: Array, limits: Limits, at_s: float, due_s: float, asked_s: float
+        self, target: Array, operator: Operator, limits: Limits, at_s: float, due_s: float
     ) -> Stream | None:
-        """The same until `at_s`, then on to `target` [axes], which is due at `due_s`; its message
-        gave it `asked_s` for that.
+        """The same until `at_s`, then on to `target` [axes], the newest point of its `operator`,
+        which is due at `due_s`.
 
         Takes longer where the limits need it, or the operator's own pace; None if that is not
-        enough. Raises TrajectoryError when the point asks for more than the velocity limit.
+        enough.
         """
         step = target - self.target
-        since_s = due_s - self.dues_s[-1] if len(self.dues_s) else 0.0
-        speed = np.abs(step) / max(asked_s, since_s, WINDOW_S)
-        if (speed > limits.velocity * (1 + RELATIVE_SLACK)).any():
-            joint = int(np.argmax(speed / limits.velocity))
-            unit = limits.units[joint]
-            raise TrajectoryError(
-                f"joint '{limits.joints[joint]}': velocity {speed[joint]:.6g} {unit}/s needed to "
-                f"reach point 0, allowed {limits.velocity[joint]:.6g} {unit}/s"
-            )
-        running = self._running(at_s, due_s, target)
+        running = self._running(at_s, operator)
         if len(self.starts_s):  # of messages in a bunch, one after another
-            least_s = float(self.starts_s[-1]) + running.period_s / _CATCH_UP
+            least_s = float(self.starts_s[-1]) + operator.period_s / _CATCH_UP
             at_s = max(at_s, min(least_s, at_s + _BEHIND_S))
         shortest_s = running._duration_s(at_s, due_s)
+        stretches = [s for s in _STRETCHES if shortest_s * (s - 1) <= _LATE_S]
         most_v, most_a = limits.velocity * PLANNED_SHARE, limits.acceleration * PLANNED_SHARE
-        pace = np.minimum(_PACE * running.pace, most_v) if len(self.dues_s) else most_v
+        pace = np.minimum(_PACE * operator.pace, most_v)
         # The drives evaluate nothing between the milliseconds.
         grain_ms = max(1, round(1000 / _INSTANTS * min([shortest_s, *running.durations_s])))
-        span_ms = 1000 * shortest_s * _STRETCHES[-1]
+        span_ms = 1000 * shortest_s * stretches[-1]
         t_s = at_s + np.arange(0, span_ms, grain_ms) / 1000
         velocity, acceleration = (running.evaluate(t_s, order) for order in (1, 2))
 
@@ -143,7 +206,7 @@ class Stream:
                 and np.all(np.abs(acceleration + added_a) <= most_a)
             )
 
-        tries = [(s, pace) for s in _STRETCHES[:_STEADY]] + [(s, most_v) for s in _STRETCHES]
+        tries = [(s, pace) for s in stretches[:_STEADY]] + [(s, most_v) for s in stretches]
         for stretch, fastest in tries:
             if keeps(stretch, fastest):
                 return replace(
@@ -155,36 +218,16 @@ class Stream:
                 )
         return None
 
-    @property
-    def pace(self) -> Array:
-        """How fast the operator goes [axes]; messages that come in a bunch were sent evenly."""
-        if len(self.dues_s) < 2:
-            return np.full(self.points.shape[1], np.inf)
-        gaps_s = np.diff(self.dues_s)
-        gaps_s = np.maximum(gaps_s, max(self.period_s, 1e-3))
-        pace: Array = np.max(np.abs(np.diff(self.points, axis=0)) / gaps_s[:, None], axis=0)
-        return pace
-
-    @property
-    def period_s(self) -> float:
-        """How often points come; 0 when that is not known."""
-        if len(self.dues_s) < 2:
-            return 0.0
-        mean_s = float(self.dues_s[-1] - self.dues_s[0]) / (len(self.dues_s) - 1)
-        return min(max(mean_s, 0.0), LINGER_S)
-
     def _duration_s(self, at_s: float, due_s: float) -> float:
         """How long the step to the newest point is to take."""
-        gap_s = self.period_s
+        gap_s = self.operator.period_s
         even_s = max(_EVEN[0] * gap_s, WINDOW_S)
         if at_s + even_s > due_s + _SOON_S:
             even_s = max(_EVEN[1] * gap_s, _SHORTEST_S)
         return max(due_s - at_s, even_s)
 
-    def _running(self, at_s: float, due_s: float, point: Array) -> Stream:
-        """What of it is still going on at `at_s`, with a further point in the books."""
-        dues_s = np.append(self.dues_s, due_s)
-        kept = dues_s >= due_s - _KEPT_S
+    def _running(self, at_s: float, operator: Operator) -> Stream:
+        """What of it is still going on at `at_s`, and what its operator has sent now."""
         on = self.starts_s + self.durations_s > at_s
         base = self.base
         if base.end_s <= at_s:
@@ -195,8 +238,7 @@ class Stream:
             starts_s=self.starts_s[on],
             durations_s=self.durations_s[on],
             steps=self.steps[on],
-            dues_s=dues_s[kept],
-            points=np.vstack((self.points, point))[kept],
+            operator=operator,
         )
 
     @property

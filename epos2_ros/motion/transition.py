@@ -94,11 +94,12 @@ def cross(
     at_s: float,
     same: Callable[[State], Mask],
     earliest_s: float = 0.0,
+    grace_s: float = GRACE_S,
 ) -> Motion:
     """From `state` at path time `at_s` onto `target`, not before `earliest_s` after it.
 
     Axes that are the `same` as the target's state there [axes] need no crossing. Raises
-    TrajectoryError when an axis can't get there before `target` ends, give or take GRACE_S.
+    TrajectoryError when an axis can't get there before `target` ends, give or take `grace_s`.
     """
     there = State.of(target, at_s)
     gap = State(*(a - b for a, b in zip(state, there, strict=True)))
@@ -106,7 +107,7 @@ def cross(
     if not apart.any():
         return target
     earliest_ms = round(earliest_s * 1000)
-    latest_ms = round(max(target.end_s - at_s, earliest_s) * 1000 + GRACE_S * 1000)
+    latest_ms = round((max(target.end_s - at_s, earliest_s) + grace_s) * 1000)
     room = _Room.beside(target, state, limits, at_s, earliest_ms + _SOON_MS)
     way, found = _fading(room, gap, np.where(apart, np.inf, at_s), earliest_ms)
     if not found.all():

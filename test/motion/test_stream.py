@@ -166,12 +166,79 @@ def test_hours_of_streaming_need_no_more_than_seconds() -> None:
     assert max(steps[100:]) <= max(steps[:100]) <= 10
 
 
-def test_a_step_faster_than_the_velocity_limit_is_refused() -> None:
+@settings(max_examples=8, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    period_s=st.floats(0.03, 0.2),
+    dues_s=st.sampled_from([(0.034, 0.034), (0.05, 0.5), (0.25, 3.0)]),
+    ramp_s=st.floats(0.1, 0.4),
+    turns=st.booleans(),
+)
+def test_an_operator_at_the_velocity_limit_is_followed_whenever_its_points_are_due(
+    seed: int, period_s: float, dues_s: tuple[float, float], ramp_s: float, turns: bool
+) -> None:
+    """Messages at uneven times, points due at random times after them, sometimes turning back."""
+    random, velocity = np.random.default_rng(seed), 2.0
+    axes = axes_of(JOINTS, max_velocity=velocity, max_acceleration=velocity / ramp_s)
+    limits = Limits.of(axes)
+    reference = Reference.at_rest([AxisUnits.of(axis) for axis in axes], np.zeros(2))
+    now_s, place, way, latest_s = 0.0, np.zeros(2), np.array([velocity, -velocity / 2]), 0.0
+    while now_s < 1.2:
+        after_s = period_s * random.uniform(0.5, 1.5)
+        way = -way if turns and random.random() < 0.1 else way
+        now_s, place = now_s + after_s, place + way * after_s
+        due_s = random.uniform(*dues_s)
+        latest_s = max(latest_s, now_s + due_s)
+        at_ms = round(now_s * 1000) + 140
+        reference = join(
+            reference,
+            Trajectory(JOINTS, np.array([due_s]), place[None, :], published=True),
+            limits,
+            at_ms=at_ms,
+            start_ms=round(now_s * 1000),
+        ).trimmed(at_ms)
+        t = at_ms / 1000 + np.arange(0, 0.3, 0.002)
+        assert (np.abs(reference.evaluate(t, 1)) <= limits.velocity).all()
+        assert (np.abs(reference.evaluate(t, 2)) <= limits.acceleration * 1.001).all()
+    np.testing.assert_allclose(reference.evaluate(np.array([reference.end_s]))[0], place, atol=1e-9)
+    # Behind by what it takes to get up to speed, and by steps that are longer than asked for.
+    assert reference.end_s - 0.4 <= latest_s + 0.14 + 1.0 + 2 * ramp_s
+
+
+def test_an_operator_faster_than_the_limit_is_followed_at_the_limit_and_then_waited_for() -> None:
+    """At 1.5 times the limit it is 0.4 s ahead after 0.8 s. It waits, and goes on slowly."""
+    axes = axes_of(JOINTS, max_velocity=1.0, max_acceleration=10.0)
+    limits = Limits.of(axes)
+    reference = Reference.at_rest([AxisUnits.of(axis) for axis in axes], np.zeros(2))
+    place, refused = np.zeros(2), []
+    for n in range(1, 91):
+        speed = 1.5 if n <= 30 else 0.0 if n <= 50 else 0.5
+        place = place + np.array([speed, 0.0]) * 0.05
+        at_ms = 50 * n + 140
+        point = Trajectory(JOINTS, np.array([0.05]), place[None, :], published=True)
+        try:
+            reference = join(reference, point, limits, at_ms=at_ms, start_ms=50 * n)
+        except TrajectoryError as error:
+            refused.append(n)
+            assert "joint 'a': velocity" in str(error) and "allowed 1 rad/s" in str(error)
+        reference = reference.trimmed(at_ms)
+        speeds = reference.evaluate(at_ms / 1000 + np.arange(0, 0.05, 0.001), 1)
+        assert np.abs(speeds).max() <= 1.0
+    assert 0.6 <= 0.05 * refused[0] <= 0.8
+    assert 0.05 * refused[-1] <= 1.5 + 0.5 * 1.5  # until the axes are as far at the limit
+    np.testing.assert_allclose(reference.evaluate(np.array([99.0]))[0], place, atol=1e-9)
+
+
+def test_a_step_much_faster_than_the_velocity_limit_is_refused() -> None:
+    """0.4 s is what the axes may be late."""
     axes = axes_of(JOINTS, max_velocity=1.0)
     reference = Reference.at_rest([AxisUnits.of(axis) for axis in axes], np.zeros(2))
-    far = Trajectory(JOINTS, np.array([0.15]), np.array([[0.0, 0.2]]))
-    with pytest.raises(TrajectoryError, match=r"joint 'b': velocity 1\.3\S+ rad/s .*allowed 1 rad"):
+    far = Trajectory(JOINTS, np.array([0.15]), np.array([[0.0, 0.6]]))
+    with pytest.raises(TrajectoryError, match=r"joint 'b': velocity 1\.5 rad/s .*allowed 1 rad"):
         join(reference, far, Limits.of(axes), at_ms=50, start_ms=50)
+    far = Trajectory(JOINTS, np.array([0.15]), np.array([[0.0, 0.2]]))
+    late = join(reference, far, Limits.of(axes), at_ms=50, start_ms=50)
+    assert np.abs(late.evaluate(np.arange(0, 1, 0.001), 1)).max() <= 1.0
     axes = axes_of(JOINTS, max_position=0.1)
     with pytest.raises(TrajectoryError, match=r"joint 'b': position 0\.2 rad"):
         join(reference, far, Limits.of(axes), at_ms=50, start_ms=50)
