@@ -52,7 +52,8 @@ class Trajectory:
 
     @classmethod
     def from_dict(cls, message: Any) -> Trajectory:
-        """From the mapping that the YAML of `ros2 topic pub` and `echo` holds."""
+        """From the mapping that the YAML of `ros2 topic pub` and `echo` holds: a message of the
+        topic."""
         _fields_of(message, "not a JointTrajectory: it", "trajectory", _MESSAGE_FIELDS)
         if "points" not in message:
             raise TrajectoryError("not a JointTrajectory: it has no points")
@@ -75,6 +76,7 @@ class Trajectory:
             },
             _stamp(message.get("header") or {}),
             has_effort=any(point.get("effort") for point in points),
+            published=True,
         )
 
     @classmethod

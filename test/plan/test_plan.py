@@ -357,6 +357,7 @@ UNSOUND: dict[str, Callable[[dict[str, Any]], None]] = {
     "still moving": lambda m: m["points"][-1]["velocities"].__setitem__(1, 0.2),
     "beyond a limit": lambda m: m["points"][5]["positions"].__setitem__(0, 3.0),
     "too fast": lambda m: m["points"][5]["velocities"].__setitem__(0, 900.0),
+    "no end": lambda m: m["points"][-1]["velocities"].__setitem__(0, 0.1),
 }
 
 
@@ -374,6 +375,21 @@ def test_it_refuses_with_the_drivers_words(change, command, tmp_path):
     (tmp_path / "spoilt.yaml").write_text(yaml.safe_dump(spoilt))
     ended = command("spoilt.yaml", "--params", params)
     assert ended == Ended(1, "", f"epos2_ros plan: trajectory refused: {refusal.value}\n")
+
+
+def test_a_message_of_moveit_servo_is_followed_to_its_last_point(command):
+    """Its last point moves; without another message the axes come to rest there."""
+    window = [
+        {
+            "positions": [0.3 * t, 0.0],
+            "velocities": [0.3, 0.0],
+            "time_from_start": {"nanosec": round(1e9 * t)},
+        }
+        for t in (0.0, 0.034, 0.068, 0.102, 0.136, 0.17)
+    ]
+    planned = command("-", stdin=message(points=window))
+    assert (planned.status, planned.err) == (0, "")
+    assert float(planned.row("a")[4]) == pytest.approx(0.3 * 0.17, abs=0.004)
 
 
 def test_it_refuses_to_begin_far_from_where_the_joints_stand(command):
@@ -676,7 +692,7 @@ def test_it_shows_how_a_first_point_at_a_later_time_is_joined(command):
     joined = command("-", "--start", "0", "0", stdin=message(points=one))
     assert "--start says, joined smoothly to point 0 at 2.000 s" in joined.out
     low, high = map(float, joined.row("a")[3:5])
-    assert (low, high) == (0.0, pytest.approx(0.5, abs=0.002))
+    assert (low, high) == pytest.approx((0.0, 0.5), abs=0.002)
     at_once = command("-", "--start", "0.1", "1", stdin=message())
     assert (at_once.status, "joined" in at_once.out) == (1, False)
     assert "rad away from where it is, allowed 0.01" in at_once.err
