@@ -37,6 +37,7 @@ _STATUSWORD: Key = (epos2.STATUSWORD, 0)
 _CONTROLWORD: Key = (epos2.CONTROLWORD, 0)
 _FLAGS: Key = (epos2.INTERPOLATION_STATUS, 1)
 _FREE: Key = (epos2.INTERPOLATION_DATA_CONFIGURATION, epos2.ACTUAL_BUFFER_SUBINDEX)
+_CLOCK = (epos2.HIGH_RESOLUTION_TIME_STAMP, 0)
 _RECORD: Key = (epos2.INTERPOLATION_DATA_RECORD, 0)
 _TIME_FIELD = 7  # of a record: 0 ends the motion
 _TOLD_FLAGS = ~(epos2.BufferStatus.IP_MODE_ACTIVE | epos2.BufferStatus.BUFFER_ENABLED)
@@ -318,8 +319,8 @@ class Timeline:
 
 
 def _again_and_again(transfer: Transfer) -> bool:
-    """Whether it is a question that the driver repeats while the axes move."""
-    return not transfer.write and (transfer.entry, transfer.subindex) == _FREE
+    """Whether it is a question that the driver repeats all the time."""
+    return not transfer.write and (transfer.entry, transfer.subindex) in (_FREE, _CLOCK)
 
 
 def _when(stamp_us: float | None, now_us: float) -> str:

@@ -265,6 +265,7 @@ def test_a_run_from_bring_up_to_the_end_in_words(tmp_path, replay):
     ]
     assert said.count("done: all axes have arrived") == 1
     assert not said.count("≠|FAULT|emergency|aborted")
+    assert not said.count("read .*0x1013|read .*0x60C4")  # over and over
 
 
 def test_take_overs_stops_and_later_trajectories_are_run_again_the_same(tmp_path, replay):
