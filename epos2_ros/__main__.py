@@ -15,6 +15,7 @@ PROGRAMS = {
     "plan": ("epos2_ros.plan", "a trajectory file as PVT records, errors and bus load; no bus"),
     "replay": ("epos2_ros.replay", "what happened on a bus, from the log of it; no bus"),
     "monitor": ("epos2_ros.monitor", "live table of all axes and the bus, in a terminal"),
+    "layout": ("epos2_ros.layout", "a layout of PlotJuggler or Foxglove for a driver's joints"),
     "demo": ("epos2_ros.demo", "driver and simulated drives run a trajectory, with a report"),
 }
 GET = "rosdep install --from-paths src --ignore-src (see README.md), or pip install ."

@@ -27,6 +27,7 @@ import rclpy
 import yaml
 from rclpy.context import Context
 from rclpy.parameter import Parameter
+from shipped import PARAMETER_FILES
 from test_packaging import description as description  # a fixture
 from test_parameter_file import rcl as rcl  # a fixture
 
@@ -42,8 +43,8 @@ from epos2_ros.plan.planning import make_plan
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-CONFIGS = sorted((ROOT / "config").glob("*.yaml"))
 FOR_READERS = ("…", "/path/to/", "my.yaml", "arm.asc")  # what they have to put in themselves
+OTHER_PACKAGES = ("diagnostic_aggregator", "plotjuggler")
 OTHER_NODES = ("/servo_node/", "/move_group/")
 WITH_CONTROL_MSGS = ("/epos2_driver/controller_state",)
 TIMEOUT_S = 60
@@ -142,7 +143,7 @@ def node() -> Iterator[DriverNode]:
 
 def configs() -> Iterator[DriverConfig]:
     yield DriverParameters({}).config()
-    for file in CONFIGS:
+    for file in PARAMETER_FILES:
         yield DriverParameters(read_parameters(file)).config()
 
 
@@ -385,8 +386,8 @@ def check_other(line: list[str]) -> None:
     if name == "epos2_ros":
         check_program(line[1], line[2:])
     elif line[:2] == ["ros2", "run"]:
-        assert line[2] == "epos2_ros"
-        if line[3:]:
+        assert line[2] in ("epos2_ros", *OTHER_PACKAGES)
+        if line[2] == "epos2_ros" and line[3:]:
             check_program(line[3], line[4:])
     elif line[:2] == ["ros2", "security"]:  # of ros-jazzy-sros2
         for path in (argument for argument in line if "/share/epos2_ros/" in argument):
@@ -395,6 +396,7 @@ def check_other(line: list[str]) -> None:
         ["ros2", "topic"],
         ["ros2", "param"],
         ["ros2", "action"],
+        ["ros2", "bag"],
         ["ros2", "launch"],
         ["pip", "install"],
     ):
@@ -430,7 +432,7 @@ def test_parameters_in_a_page_are_read_by_ros_and_known(
     assert not made.complaints
 
 
-@pytest.mark.parametrize("file", CONFIGS, ids=lambda file: file.name)
+@pytest.mark.parametrize("file", PARAMETER_FILES, ids=lambda file: file.name)
 def test_parameter_files_are_read_by_ros_as_by_us(file: Path, rcl: Callable[..., Any]) -> None:
     assert rcl(file.read_text()) == read_parameters(file)
 

@@ -21,7 +21,9 @@ from ament_index_python.packages import get_package_prefix, get_package_share_di
 from epos2_ros import __main__ as command
 
 ROOT = Path(__file__).resolve().parent.parent
-PROGRAMS = {"driver", "simulator", "scan", "check", "drive", "replay", "plan", "monitor", "demo"}
+PROGRAMS = {
+    "driver", "simulator", "scan", "check", "drive", "replay", "plan", "monitor", "layout", "demo",
+}  # fmt: skip
 TIMEOUT_S = 100
 INSTALLED = Path(sys.executable).parent / "epos2_ros"
 INSTALLED_BEFORE = INSTALLED.exists()

@@ -109,7 +109,8 @@ def share() -> Path:
 def shipped_parameters(joints: Iterable[str]) -> Path | None:
     """The shipped parameter file for simulated drives with these joints, if there is one."""
     for file in sorted((share() / "config").glob("*.yaml")):
-        parameters = read_parameters(file)
+        given = ParameterFile.read(file)
+        parameters = given.of(f"/{DRIVER}") if given.reaches(f"/{DRIVER}") else {}
         if parameters.get("simulate") and set(parameters["joints"]) == set(joints):
             return file
     return None

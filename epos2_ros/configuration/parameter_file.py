@@ -69,6 +69,10 @@ class ParameterFile:
         except RecursionError as error:
             raise ConfigurationError(f"can't read {source}: it is nested too deep") from error
 
+    def reaches(self, node: str) -> bool:
+        """Whether something in it is for the node of this full name."""
+        return any(_matches(name, node) and given for name, given in self.sections.items())
+
     def of(self, node: str) -> dict[str, Any]:
         """What reaches the node of this full name; later sections win, as with rcl.
 

@@ -273,6 +273,7 @@ def test_a_difference_from_the_prediction_is_a_diagnostic() -> None:
     assert (status.level, status.message) == (DiagnosticStatus.WARN, wrong.difference)
     assert status.hardware_id == "can0/2"
     assert [(pair.key, pair.value) for pair in status.values] == [
+        ("level", "1"),
         ("joint", "z"),
         ("events", "700"),
         ("predicted in last motion", "200"),

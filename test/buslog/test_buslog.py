@@ -10,6 +10,7 @@ import can
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from shipped import PARAMETER_FILES
 from simulated_time import axes
 
 from epos2_ros.bus.driver import Driver
@@ -27,7 +28,6 @@ from epos2_ros.sim import main as simulator
 
 BEGIN_US = 5e9
 WALL_OFFSET_US = BEGIN_US - 1.7e15  # the log begins at 1,700,000,000 s since 1970
-CONFIG_FILES = sorted((Path(__file__).parents[2] / "config").glob("*.yaml"))
 
 
 def opened(file: Path, size_bytes: int = 10_000_000, **options) -> LogWriter:
@@ -160,7 +160,7 @@ def test_the_simulator_says_so_too(tmp_path, capsys):
     )
 
 
-@pytest.mark.parametrize("file", CONFIG_FILES, ids=lambda file: file.stem)
+@pytest.mark.parametrize("file", PARAMETER_FILES, ids=lambda file: file.stem)
 def test_a_configuration_comes_back_from_json(file):
     config = DriverParameters(read_parameters(file)).config()
     homing = HomingConfig("negative_limit_switch", (0.02, 0.005), order=2)

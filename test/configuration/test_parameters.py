@@ -14,14 +14,13 @@ from rcl_interfaces.msg import ParameterType
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from shipped import PARAMETER_FILES
 
 from epos2_ros.configuration.driver import AxisConfig, ClockLimits, DriverConfig, HomingConfig
 from epos2_ros.configuration.files import read_parameters
 from epos2_ros.configuration.parameters import DriverParameters
 from epos2_ros.errors import ConfigurationError
 from epos2_ros.node.parameters import Parameters
-
-CONFIG_FILES = sorted((Path(__file__).parents[2] / "config").glob("*.yaml"))
 
 
 class Made:
@@ -314,7 +313,7 @@ def test_every_parameter_is_declared_with_type_description_and_what_is_allowed(m
     assert all(p.type_ != Parameter.Type.NOT_SET for p in node.get_parameters(list(descriptors)))
 
 
-@pytest.mark.parametrize("file", CONFIG_FILES, ids=lambda file: file.stem)
+@pytest.mark.parametrize("file", PARAMETER_FILES, ids=lambda file: file.stem)
 def test_the_shipped_parameter_files_are_valid(make, file):
     made = make(file=file)
     config = made.parameters.config()
@@ -322,7 +321,7 @@ def test_the_shipped_parameter_files_are_valid(make, file):
     assert config.simulate == (config.interface == "virtual")
 
 
-@pytest.mark.parametrize("file", CONFIG_FILES, ids=lambda file: file.stem)
+@pytest.mark.parametrize("file", PARAMETER_FILES, ids=lambda file: file.stem)
 def test_what_ros2_param_dump_writes_makes_the_same_driver_and_plan(make, file, tmp_path):
     """It writes all values, nested by the dots, under the node's full name."""
     made = make(file=file)
@@ -357,4 +356,4 @@ def test_a_joint_that_can_be_no_part_of_a_parameter_is_refused(make, name):
 
 
 def test_there_are_parameter_files_for_simulation_and_real_hardware():
-    assert {"simulation.yaml", "can0.yaml"} <= {file.name for file in CONFIG_FILES}
+    assert {"simulation.yaml", "can0.yaml"} <= {file.name for file in PARAMETER_FILES}

@@ -31,6 +31,7 @@ from rclpy.parameter import Parameter
 from rclpy.task import Future
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
+from shipped import PARAMETER_FILES
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -1164,7 +1165,7 @@ def test_parameters_that_reach_no_node_end_the_start(program, tmp_path, argument
 
 
 @pytest.mark.parametrize("renamed", ["__ns:=/robot1", "__node:=arm"])
-@pytest.mark.parametrize("file", sorted((Path(__file__).parents[2] / "config").glob("*.yaml")))
+@pytest.mark.parametrize("file", PARAMETER_FILES)
 def test_shipped_parameters_reach_a_driver_of_any_name(file, renamed):
     node = "/robot1/epos2_driver" if "ns" in renamed else "/arm"
     assert read_parameters(file, node) == read_parameters(file)

@@ -27,6 +27,7 @@ import rclpy
 import yaml
 from rclpy.context import Context
 from rclpy.node import Node
+from shipped import PARAMETER_FILES
 from simulated_time import Bench
 from trajectories import EXAMPLES, NAMES, example, example_message
 
@@ -459,7 +460,7 @@ def node() -> Iterator[Callable[[Path], Node]]:
 @pytest.mark.parametrize(
     "text",
     [
-        *(file.read_text() for file in sorted(CONFIG.glob("*.yaml"))),
+        *(file.read_text() for file in PARAMETER_FILES),
         "/**: {ros__parameters: {joints: [a], axes: {a: {gear_ratio: 5.0}}}}",
         "/**/epos2_driver: {ros__parameters: {joints: [a], axes.a.gear_ratio: 1e1}}",
         "'*': {ros__parameters: {joints: [a]}}\n/*: {ros__parameters: {ipm.tolerance: 2.5e+0}}",
