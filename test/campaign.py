@@ -38,6 +38,7 @@ from epos2_ros.bus.timestamps import ReceiveClock
 from epos2_ros.configuration.driver import AxisConfig, DriverConfig, HomingConfig
 from epos2_ros.errors import BusError, Epos2RosError
 from epos2_ros.motion.trajectory import Trajectory
+from epos2_ros.protocol.family import Family
 from epos2_ros.protocol.frame import Frame
 from epos2_ros.protocol.other_host import OtherHost
 from epos2_ros.protocol.phase import BEGUN, Phase
@@ -535,7 +536,17 @@ def _shaft_qc(drive: Any) -> float:
     return drive._shaft if isinstance(drive, Copley) else drive._motor.position
 
 
-_dictionary_of = cache(cia402_node.object_dictionary)  # reading an EDS takes a while
+_object_dictionary = cia402_node.object_dictionary
+
+
+@cache
+def _dictionary(eds: str) -> Any:
+    """Reading one takes a while."""
+    return _object_dictionary(SimpleNamespace(eds=eds))  # type: ignore[arg-type]
+
+
+def _dictionary_of(family: Family) -> Any:
+    return _dictionary(family.eds)
 
 
 def _axis(node_id: int, axis: Axis) -> AxisConfig:

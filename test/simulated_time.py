@@ -175,8 +175,8 @@ class Bench:
                 break
             self._due_us = max(self._deadline_us, self.now_us) + self.late_us()
             self.bus.run_until(min(end_us, self._due_us), self._on_frame)
-            if not until():
-                self._step()
+        if not until():
+            self._step()
         self._until = lambda: False
 
     # ------------------------------------------------------------------ inside
@@ -322,13 +322,15 @@ class Bench:
         self._serving = False
 
     def _await(self, what: Callable[[], bool]) -> None:
-        end_us = self.now_us + SDO_PATIENCE_US
+        end_us, until = self.now_us + SDO_PATIENCE_US, self._until
+        self._until = what
         while self.now_us < end_us and not what():
-            self._due_us = min(end_us, self._deadline_us, self.now_us + 500)
+            self._due_us = min(end_us, max(self._deadline_us, self.now_us))
             self.bus.run_until(self._due_us, self._on_frame)
             self._hear()
             self.machine.advance(self.now_us)
             self._flush()
+        self._until = until
 
     def _on_frame(self, can_id: int, data: bytes, t_us: float, echo: bool) -> bool:
         """Returns whether something is due before the time that was run to."""

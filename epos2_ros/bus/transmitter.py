@@ -100,6 +100,9 @@ class Transmitter:
         Returns frames that are through by now though no echo told, and the time at which each,
         by its length and those before it, was on the bus: all frames, for adapters without echo.
         """
+        if not self._in_flight and not any(self._lanes):
+            self.deadline_us = math.inf
+            return []
         heard_us = now_us if heard_us is None else heard_us
         through = self._settle(now_us, heard_us)
         room = self._room(now_us, heard_us)

@@ -14,6 +14,8 @@ from epos2_ros.protocol.cia402 import State
 class Phase(Enum):
     """What the group is doing."""
 
+    __hash__ = object.__hash__  # looked up for every frame
+
     DISABLED = "disabled"
     ENABLING = "enabling"
     READYING = "getting ready"

@@ -55,7 +55,8 @@ class SynchronousControlwords:
     @property
     def unseen(self) -> list[Drive]:
         """The drives whose controlword is not yet on the bus."""
-        return [drive for drive in self._drives if drive.node_id in self._unseen]
+        unseen = self._unseen
+        return [drive for drive in self._drives if drive.node_id in unseen] if unseen else []
 
     def forget(self) -> None:
         """Those that are not on the bus will not get there."""

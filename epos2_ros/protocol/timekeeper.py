@@ -320,6 +320,8 @@ class Timekeeper:
 
     @property
     def _follow_up_due_us(self) -> float:
+        if self._unstamped_us == math.inf:
+            return math.inf
         wait_us = min(FOLLOW_UP_US, FOLLOW_UP_SHARE * self.period_us)
         if all(value is None for value in self._latched):
             wait_us *= 2  # there is nobody to correct yet

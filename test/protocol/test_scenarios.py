@@ -12,7 +12,7 @@ import pytest
 from campaign import Action, Axis, Broken, Scenario, Trouble, broken, play, scenario_of, smallest
 
 from epos2_ros.bus.cia402_node import Cia402Node
-from epos2_ros.protocol import group, silence
+from epos2_ros.protocol import group, silence, watch
 from epos2_ros.protocol.pvt import counted, path_audit
 from epos2_ros.protocol.synchronous import SynchronousControlwords
 
@@ -86,6 +86,14 @@ def forgets_to_raise(monkeypatch):
     monkeypatch.setattr(group.Group, "_finish_halt", lambda self: 1 / 0)
 
 
+def does_not_let_go(monkeypatch):
+    monkeypatch.setattr(Cia402Node, "leave", nothing)
+
+
+def brings_nobody_back(monkeypatch):
+    monkeypatch.setattr(watch.Watch, "lost", lambda self: [])
+
+
 BROKEN_DRIVERS = {
     no_audit: (
         "on the path or stopping",
@@ -117,6 +125,11 @@ BROKEN_DRIVERS = {
             (),
             killed_s=1.5,
         ),
+    ),
+    does_not_let_go: ("a clean end", Scenario(MIXED, (ENABLE,), ())),
+    brings_nobody_back: (
+        "the way back",
+        Scenario(MIXED, (ENABLE, MOVE), (Trouble("power", 1, 0.2, 1, lasts_s=3.0),)),
     ),
     no_answers: (
         "every request is answered",
