@@ -25,11 +25,11 @@ from typing import Any
 import pytest
 import rclpy
 import yaml
+from rcl_parameters import rcl as rcl  # a fixture
 from rclpy.context import Context
 from rclpy.parameter import Parameter
 from shipped import PARAMETER_FILES
 from test_packaging import description as description  # a fixture
-from test_parameter_file import rcl as rcl  # a fixture
 
 from epos2_ros.__main__ import PROGRAMS
 from epos2_ros.configuration.driver import DriverConfig

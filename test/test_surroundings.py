@@ -12,8 +12,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from test_node import Program
-from test_node import program as program  # a fixture
+from driver_program import Program
+from driver_program import program as program  # a fixture
 
 from epos2_ros import surroundings
 

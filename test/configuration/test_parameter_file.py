@@ -4,46 +4,16 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
-import rclpy
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
-from rclpy.context import Context
-from rclpy.node import Node
+from rcl_parameters import Rcl
+from rcl_parameters import rcl as rcl  # a fixture
 
 from epos2_ros.configuration.parameter_file import ParameterFile
 from epos2_ros.errors import ConfigurationError
-
-Rcl = Callable[..., Any]
-
-
-@pytest.fixture
-def rcl(tmp_path: Path) -> Iterator[Rcl]:
-    """What a node of this name gets from a file, by rcl; None where rcl refuses the file."""
-    file = tmp_path / "parameters.yaml"
-
-    def read(text: str, node: str = "/epos2_driver") -> dict[str, Any] | None:
-        file.write_text(text, encoding="utf-8")
-        namespace, _, name = node.rpartition("/")
-        arguments = ["--ros-args", "--params-file", str(file), "-r", f"__ns:={namespace or '/'}"]
-        context = Context()
-        try:
-            rclpy.init(args=arguments, context=context)
-        except Exception:
-            return None
-        try:
-            made = Node(name, context=context)
-            overrides = {key: value.value for key, value in made._parameter_overrides.items()}
-            made.destroy_node()
-        finally:
-            context.shutdown()
-        return {key: list(v) if hasattr(v, "tolist") else v for key, v in overrides.items()}
-
-    yield read
 
 
 def ours(text: str, node: str = "/epos2_driver") -> dict[str, Any] | None:

@@ -7,7 +7,6 @@ import math
 import os
 import re
 import signal
-import subprocess
 import sys
 import threading
 import time
@@ -22,6 +21,7 @@ import rclpy
 import yaml
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from driver_program import program as program  # a fixture
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.context import Context
@@ -997,56 +997,6 @@ def test_diagnostics_of_an_output(tally, level, message):
 
 
 # -- the program -----------------------------------------------------------------------------
-
-
-class Program:
-    """`epos2_ros driver` with simulated drives, as a process of its own."""
-
-    def __init__(self, env: dict[str, str], *arguments: str) -> None:
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "epos2_ros", "driver", *arguments],
-            env=env,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-        )
-        self.output = ""
-
-    def read_until(self, words: str) -> None:
-        assert self._process.stdout is not None
-        for line in self._process.stdout:
-            self.output += line
-            if words in line:
-                return
-        pytest.fail(f"no {words!r} in {self.output}")
-
-    def end(self, number: int) -> int:
-        """Sends the signal and gives the exit status."""
-        self._process.send_signal(number)
-        rest, _ = self._process.communicate(timeout=WAIT_S)
-        self.output += rest
-        return self._process.returncode
-
-    def wait(self) -> int:
-        """Its exit status, when it ends by itself."""
-        return self._process.wait(WAIT_S)
-
-    def kill(self) -> None:
-        self._process.kill()
-        self._process.wait()
-
-
-@pytest.fixture
-def program(ros_env: dict[str, str]) -> Iterator[Callable[..., Program]]:
-    programs: list[Program] = []
-
-    def start(*arguments: str) -> Program:
-        programs.append(Program(ros_env, *arguments))
-        return programs[-1]
-
-    yield start
-    for it in programs:
-        it.kill()
 
 
 def spin_until(witness: Witness, what: Callable[[], bool]) -> None:
