@@ -133,6 +133,12 @@ class Drive:
         self.latched = latched
         return frozenset({(read.index, read.subindex)})
 
+    @property
+    def tells_clock(self) -> bool:
+        """Whether it answers a SYNC with its clock, in a PDO."""
+        clock = epos2.HIGH_RESOLUTION_TIME_STAMP, 0
+        return any(clock in layout.objects for layout in self._layouts.values())
+
     def objects_of(self, cob_id: int) -> frozenset[tuple[int, int]]:
         """What its PDO with this COB-ID carries; nothing if it is none of its PDOs."""
         layout = self._layouts.get(cob_id)

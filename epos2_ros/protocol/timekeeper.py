@@ -1,8 +1,9 @@
 """TIME, SYNC, the time stamps that follow each SYNC, and the host's heartbeat.
 
-After a SYNC the drives are asked by SDO what their clocks were at it (0x1013): by the makers' EDS
-of 2011 and 2013 no PDO can carry it to the host. All are asked at once, at every SYNC where that is
-no more than READ_SHARE of the bus; at the others the clocks run on, uncorrected.
+After a SYNC EPOS2 drives are asked by SDO what their clocks were at it (0x1013): by the maker's EDS
+of 2011 and 2013 no PDO can carry it to the host. Copley's say it in one. All are asked at once, at
+every SYNC where that is no more than READ_SHARE of the bus; at the others the clocks run on,
+uncorrected.
 
 One correction per SYNC and drive (application note, 2.4), and only for a drive that has answered
 the SYNC with its own clock: a stamp for a SYNC that it missed would move it by a whole period. A
@@ -74,7 +75,7 @@ class Timekeeper:
         self.period_us = period_us
         self.producer = producer
         master_index = None if master is None else self.drives.index(master)
-        self._asked = [drive.node_id for drive in self.drives if drive is not master]
+        self._asked = [drive.node_id for drive in self.drives if not drive.tells_clock]
         self._round_us = len(self._asked) * READ_BITS / READ_SHARE / bitrate * 1e6
         self._round_due_us = -math.inf  # the next SYNC at which all are asked
         corrected_us = period_us * max(1, math.ceil(self._round_us / period_us - EARLY_SHARE))
