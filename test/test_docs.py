@@ -29,7 +29,7 @@ from rcl_parameters import rcl as rcl  # a fixture
 from rclpy.context import Context
 from rclpy.parameter import Parameter
 from shipped import PARAMETER_FILES
-from test_packaging import description as description  # a fixture
+from test_packaging import describe as describe  # a fixture
 
 from epos2_ros.__main__ import PROGRAMS
 from epos2_ros.configuration.driver import DriverConfig
@@ -261,7 +261,7 @@ def check_parameter(arguments: list[str], node: DriverNode) -> None:
     assert parameter.startswith("<") or node.has_parameter(parameter)
 
 
-def check_launch(arguments: list[str], launch_arguments: set[str]) -> None:
+def check_launch(arguments: list[str], launch_arguments: Callable[[str], set[str]]) -> None:
     package, file, *given = arguments
     assert package == "epos2_ros"
     if (ROOT / "examples" / "moveit" / file).exists():
@@ -269,8 +269,8 @@ def check_launch(arguments: list[str], launch_arguments: set[str]) -> None:
     assert (ROOT / "launch" / file).exists()
     for argument in given:
         name, _, value = argument.partition(":=")
-        assert name in launch_arguments | {"--show-args"}
-        if name == "params_file" and not value.startswith(FOR_READERS):
+        assert name in launch_arguments(file) | {"--show-args"}
+        if name in ("params_file", "model") and not value.startswith(FOR_READERS):
             assert (ROOT / value).exists()
 
 
@@ -330,8 +330,8 @@ def check_make(arguments: list[str]) -> None:
 
 
 @pytest.fixture
-def launch_arguments(description: Any) -> set[str]:
-    return {argument.positional[0] for argument in description.positional[0][:-1]}
+def launch_arguments(describe: Callable[[str], Any]) -> Callable[[str], set[str]]:
+    return lambda file: {a.positional[0] for a in describe(file).positional[0][:-1]}
 
 
 @pytest.fixture
@@ -349,7 +349,10 @@ def folder(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("command", COMMANDS, ids=str)
 def test_a_command_works_as_written(
-    command: Written, node: DriverNode, launch_arguments: set[str], folder: Path
+    command: Written,
+    node: DriverNode,
+    launch_arguments: Callable[[str], set[str]],
+    folder: Path,
 ) -> None:
     if command.text.endswith(" …") and "\n" not in command.text:  # in the text: a name, no command
         command = Written(command.page, command.line, command.text.removesuffix(" …"))

@@ -106,6 +106,7 @@ def test_ament_index_and_ros2_run_find_the_package(
     share = Path(get_package_share_directory("epos2_ros"))
     for folder, pattern in (
         ("config", "*.yaml"),
+        ("config", "*.rviz"),
         ("examples", "*.yaml"),
         ("examples", "*.service"),
         ("launch", "*.launch.py"),
@@ -183,11 +184,6 @@ assert arrived.result().name == [f"joint_{{n}}" for n in range(1, 7)]
 """
 
 
-def test_launch_file_is_python() -> None:
-    path = ROOT / "launch" / "driver.launch.py"
-    compile(path.read_text(), path, "exec")
-
-
 class Told:
     """Stands in for what `launch` and `launch_ros` have: it is called, and keeps with what."""
 
@@ -202,28 +198,49 @@ class Chosen(Told):
         return context[self.positional[0]]
 
 
+class Info(Told):
+    """LogInfo."""
+
+
 @pytest.fixture
-def description(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """What the launch file describes, to a `launch` that only listens (it is on no index)."""
+def describe(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], Any]:
+    """What a launch file describes, to a `launch` that only listens (it is on no index)."""
+    actions = ("DeclareLaunchArgument", "OpaqueFunction")
     parts = {
         "launch": {"LaunchContext": dict, "LaunchDescription": Told},
-        "launch.actions": {"DeclareLaunchArgument": Told, "OpaqueFunction": Told},
+        "launch.actions": {**dict.fromkeys(actions, Told), "LogInfo": Info},
         "launch.substitutions": {"LaunchConfiguration": Chosen, "PathJoinSubstitution": Told},
-        "launch_ros.actions": {"LifecycleNode": Told},
+        "launch_ros.actions": {"LifecycleNode": Told, "Node": Told},
+        "launch_ros.parameter_descriptions": {"ParameterValue": Told},
         "launch_ros.substitutions": {"FindPackageShare": Told},
     }
     monkeypatch.setitem(sys.modules, "launch_ros", SimpleNamespace())
     for name, members in parts.items():
         monkeypatch.setitem(sys.modules, name, SimpleNamespace(**members))
-    launch_file = runpy.run_path(str(ROOT / "launch" / "driver.launch.py"))
-    return launch_file["generate_launch_description"]()
+
+    def describe(file: str) -> Any:
+        launch_file = runpy.run_path(str(ROOT / "launch" / file))
+        return launch_file["generate_launch_description"]()
+
+    return describe
+
+
+@pytest.fixture
+def description(describe: Callable[[str], Any]) -> Any:
+    return describe("driver.launch.py")
+
+
+def actions_of(description: Any, **given: str) -> list[Any]:
+    """What `ros2 launch` with these arguments does."""
+    *arguments, action = description.positional[0]
+    defaults = {a.positional[0]: a.named["default_value"] for a in arguments}
+    assert given.keys() <= defaults.keys()
+    return list(action.named["function"]({**defaults, **given}))
 
 
 def launched(description: Any, **given: str) -> Any:
-    """The node that `ros2 launch` with these arguments starts."""
-    *arguments, action = description.positional[0]
-    defaults = {a.positional[0]: a.named["default_value"] for a in arguments}
-    (node,) = action.named["function"]({**defaults, **given})
+    """The one node that it starts."""
+    (node,) = actions_of(description, **given)
     return node
 
 
@@ -251,6 +268,56 @@ def test_launch_arguments_reach_the_node(description: Any) -> None:
 def test_a_launch_with_a_file_that_is_not_there_is_refused(description: Any) -> None:
     with pytest.raises(FileNotFoundError, match="params_file: there is no file /nonexistent.yaml"):
         launched(description, params_file="/nonexistent.yaml")
+
+
+VIEWS = ("robot_state_publisher", "rviz2", "diagnostic_aggregator", "plotjuggler_ros")
+ARM = {
+    "params_file": str(ROOT / "config" / "arm.yaml"),
+    "model": str(ROOT / "examples" / "moveit" / "arm.urdf"),
+}
+
+
+def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *packages: str) -> None:
+    """These packages and no others, for ament's index."""
+    index = tmp_path / "share" / "ament_index" / "resource_index" / "packages"
+    index.mkdir(parents=True)
+    for package in packages:
+        (index / package).touch()
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
+
+
+def test_a_view_shows_what_the_driver_has(
+    describe: Callable[[str], Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    installed(tmp_path, monkeypatch, *VIEWS)
+    made = actions_of(describe("view.launch.py"), **ARM, node="/robot1/epos2_driver")
+    publisher, rviz, aggregator, plots = (node.named for node in made)
+    (told,) = publisher["parameters"]
+    assert told["robot_description"].positional == (Path(ARM["model"]).read_text(),)
+    assert publisher["namespace"] == rviz["namespace"] == "/robot1"
+    assert rviz["arguments"] == ["-d", str(ROOT / "config" / "view.rviz"), "-f", "base_link"]
+    assert aggregator["executable"] == "aggregator_node"
+    expected = Path(aggregator["parameters"][0]).read_text()
+    assert "robot1/epos2_driver: shoulder_pan_joint" in expected
+    option, layout = plots["arguments"]
+    assert (plots["executable"], option) == ("plotjuggler", "--layout")
+    assert "/robot1/joint_states/wrist_3_joint/position" in Path(layout).read_text()
+
+
+def test_a_view_says_what_is_not_there(
+    describe: Callable[[str], Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    installed(tmp_path, monkeypatch, "diagnostic_aggregator")
+    view = describe("view.launch.py")
+    no_model, aggregator, plots = actions_of(view)
+    assert no_model.named["msg"] == "no RViz without model:=ROBOT.urdf"
+    assert aggregator.named["package"] == "diagnostic_aggregator"
+    assert plots.named["msg"].endswith("(sudo apt install ros-jazzy-plotjuggler-ros)")
+    off = dict.fromkeys(("aggregator", "plotjuggler"), "false")
+    other = {**ARM, "params_file": str(ROOT / "config" / "gantry.yaml"), **off}
+    joints, *missing = actions_of(view, **other)
+    assert joints.named["msg"] == "the model has no joints gantry_x, gantry_y"
+    assert [isinstance(action, Info) for action in missing] == [True, True]
 
 
 class TestManifest:

@@ -17,7 +17,7 @@ class Names:
         """Full name of `~/private`, `relative` or `/absolute`, without remapping."""
         if name.startswith("~/"):
             return f"{self.node}{name[1:]}"
-        return name if name.startswith("/") else f"{self._namespace}/{name}"
+        return name if name.startswith("/") else f"{self.namespace}/{name}"
 
     def status(self, part: str) -> str:
         """`name` of the status of a joint, of `compare.<output>` or of `bus` in `/diagnostics`."""
@@ -25,7 +25,7 @@ class Names:
 
     def bus(self, channel: str) -> str:
         """`hardware_id` of the bus; that of a drive is this, a slash and the node id."""
-        namespace = self._namespace.lstrip("/")
+        namespace = self.namespace.lstrip("/")
         return f"{namespace}/{channel.lstrip('/')}" if namespace else channel
 
     @property
@@ -34,5 +34,6 @@ class Names:
         return self.node.strip("/").replace("/", ".")
 
     @property
-    def _namespace(self) -> str:
+    def namespace(self) -> str:
+        """`/robot1`, or "" at the root."""
         return self.node.rpartition("/")[0]
