@@ -21,7 +21,8 @@ ROUNDING_S = STREAM_SEGMENT_MS / 1000
 """What rounding takes comes on top. Knots are whole counts and whole velocity units, and a segment
 of a stream, the shortest there are, lasts this long at most. Within it an axis that creeps has to
 be able to go on by a count, from rest to rest (1.5 counts per this time of velocity, 6 per its
-square of acceleration), or to become a velocity unit faster."""
+square of acceleration), or to become a velocity unit faster. Between knots slower than the joint's
+limit it could not go on at that, so a whole unit not below it is allowed in any case."""
 _SWAY = 4
 """Where a unit is coarse, that takes less time: between two velocities next to the commanded one a
 cubic is off by up to an eighth of a unit times its duration; a duration of so many tolerances per
@@ -108,7 +109,9 @@ def _velocity(axis: AxisConfig, config: DriverConfig, headroom: float) -> float:
     modest = axis.max_velocity <= units.velocity_unasked
     most = units.velocity_unasked if modest else units.velocity_range
     rounding = 1.5 / _rounding_s(axis, config) / abs(units.qc_per_unit)
-    return min(axis.max_velocity * headroom + rounding, most)
+    unit = _unit_qc_s(axis) / abs(units.qc_per_unit)
+    whole = math.ceil(axis.max_velocity / unit * (1 - 1e-9)) * unit
+    return min(max(axis.max_velocity * headroom + rounding, whole), most)
 
 
 def _acceleration(axis: AxisConfig, config: DriverConfig, headroom: float) -> float | None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks import campaign
+from epos2_ros.configuration.driver import AxisConfig, DriverConfig
 from epos2_ros.configuration.files import read_parameters, share
 from epos2_ros.configuration.parameters import DriverParameters
 from epos2_ros.motion.join import join
@@ -52,6 +53,29 @@ def test_a_slow_move_can_be_stopped_at_any_time(
         motion.judge()
         assert len(motion.ended) == len(axes)
         assert motion.late_ms <= LATEST_MS
+
+
+@pytest.mark.parametrize("tolerance_qc", [1.0, 10.0])
+@pytest.mark.parametrize("units", [0.1, 0.66, 0.95, 1.4, 3.4])
+def test_an_axis_goes_at_a_limit_of_less_than_a_few_velocity_units(
+    units: float, tolerance_qc: float
+) -> None:
+    """Knots have whole units: none but 0 is below a limit of 0.66 rpm, which has to be kept up."""
+    speed = units * 2 * math.pi / 60  # 40,000 counts per turn: a unit are 667 qc/s
+    axes = [
+        AxisConfig(
+            "slow", 1, counts_per_turn=40_000, max_velocity=speed, max_acceleration=2 * speed
+        )
+    ]
+    motion = campaign.Run(axes, DriverConfig(tuple(axes), buffer_time=0.08, tolerance=tolerance_qc))
+    times, ways = np.array([0.0, 0.5, 1.5, 2.0]), np.array([[0.0], [0.25], [1.25], [1.5]])
+    move = Trajectory(("slow",), times, speed * ways, speed * np.array([[0], [1], [1], [0]]))
+    rest = Reference.at_rest(motion.units, np.zeros(1))
+    motion.begin(join(rest, move, motion.limits, at_ms=0, start_ms=0))
+    motion.fitter.max_segment_ms = 16  # as of streams
+    motion.feed(math.inf)
+    motion.judge()
+    assert motion.ended and motion.late_ms <= LATEST_MS
 
 
 def test_what_is_wrong_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
