@@ -1,4 +1,4 @@
-"""Layouts of Foxglove, and message paths to the driver's topics.
+"""Layouts of Foxglove and Lichtblick, its free fork, and message paths to the driver's topics.
 
 As the sources of Foxglove Studio read them: `LayoutData` (panels by id, `Type!name`; a layout is
 a tree of rows and columns), `PlotConfig`, the panels Tab and DiagnosticSummary, and the grammar of
@@ -74,6 +74,7 @@ def _column(panels: Sequence[str]) -> Node:
 def _plot(plot: Plot) -> dict[str, Any]:
     return {
         "foxglovePanelTitle": plot.title,
+        "lichtblickPanelTitle": plot.title,
         "paths": [
             {
                 "value": path(curve),
