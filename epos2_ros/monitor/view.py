@@ -75,6 +75,8 @@ def _trouble(seen: Seen, silent: bool, now_s: float) -> Text:
         since = now_s - seen.heard_s
         age = f" for {since:.0f} s" if math.isfinite(since) else ""
         return _line(f"no /diagnostics{age}: the driver is gone, or not configured", style(ERROR))
+    if seen.bus_level >= ERROR:  # why all axes have stopped
+        return _line(seen.bus_message, style(ERROR))
     if troubled := seen.in_trouble():
         more = f" (and {len(troubled) - 1} more)" if len(troubled) > 1 else ""
         return _line(f"{troubled[0].joint}: {troubled[0].message}{more}", style(ERROR))

@@ -115,6 +115,12 @@ def test_eighty_columns_show_every_axis_and_the_bus() -> None:
     assert wrist[:2] == ["wrist", "fault"] and "none" in wrist  # it has no buffer
 
 
+def test_why_all_axes_have_stopped_comes_before_how_they_are() -> None:
+    seen = Seen(Names())
+    hear(seen, axis_of("a", silent_s=3.0), state="fault", reason="can0 can't send: no such device")
+    assert shown(seen).splitlines()[1] == "can0 can't send: no such device"
+
+
 def test_a_wide_terminal_has_whole_names_and_last_events() -> None:
     seen = Seen(Names("/robot1/epos2_driver"))
     hear(seen, axis_of("a", silent_s=7.0), axis_of("b"))
