@@ -424,15 +424,15 @@ def children_of(pid: int) -> list[int]:
 OUTPUTS = Path(__file__).parents[2] / "config" / "outputs.yaml"
 
 
-@pytest.mark.parametrize("name", ["raster_scan", "jerk_limited"])
+@pytest.mark.parametrize("name", ["raster_scan", "pick_place"])
 def test_the_demo_runs_an_example_within_its_limits(name, command, examples, tmp_path):
-    """In two processes; jerk_limited on drives with the application note's dictionary."""
+    """In two processes; pick_place on drives of two makers, EPOS2 with the note's dictionary."""
     params = OUTPUTS
-    if name == "jerk_limited":
-        parameters = {"simulate": True, "simulation": {"dictionary": "note"}}
-        parameters["axes"] = {f"joint_{n}": {"gear_ratio": 100.0} for n in range(1, 7)}
+    if name == "pick_place":
+        given = yaml.safe_load((OUTPUTS.parent / "mixed.yaml").read_text())
+        given["/**"]["ros__parameters"]["simulation"]["dictionary"] = "note"
         params = tmp_path / "note.yaml"
-        params.write_text(yaml.safe_dump({"/**": {"ros__parameters": parameters}}))
+        params.write_text(yaml.safe_dump(given))
     demo = command("demo", examples / f"{name}.yaml", "--two-processes", "--params", params)
     output, _ = demo.communicate()
     assert demo.returncode == 0, output
