@@ -1,11 +1,14 @@
-"""CPU time of the driver's process per axis: the node with all its topics.
+"""CPU time and memory of the driver's process: the node with all its topics.
 
     python -m benchmarks.driver_cpu
+    python -m benchmarks.driver_cpu --start 10       # until the first motion
 
 The program `driver` in real time, simulated drives as a process of their own behind an slcan
 adapter on a pseudo-terminal, which loses no frame however busy the computer is. CPU time is what
 the kernel has counted for the driver's process, user and system, while the axes stand and while
-they move as in bus_load.
+they move as in bus_load; memory is what is resident at the end. The first motion: from the start of
+the process, simulated drives in it, until `/joint_states` show a joint of a trajectory that was
+published as soon as the node was active.
 """
 
 from __future__ import annotations
@@ -30,6 +33,7 @@ STANDING_S = 10.0
 READY_S = 120.0
 DOMAIN_ID = 77
 ARRIVED = 1e-3  # rad
+MOVED = 1e-4  # rad
 
 
 def cpu_s(pid: int) -> float:
@@ -53,8 +57,14 @@ def parameters(count: int, rate_hz: float, channel: str) -> dict[str, object]:
     }
 
 
-def measure(count: int, rate_hz: float, folder: Path) -> tuple[float, float]:
-    """Shares of one core while standing, and while moving."""
+def resident_mb(pid: int) -> float:
+    """Of a process, libraries that others share included."""
+    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def measure(count: int, rate_hz: float, folder: Path) -> tuple[float, float, float]:
+    """Shares of one core while standing, and while moving; memory [MB]."""
     file = folder / "params.yaml"
     options = ["--slcan", "--nodes", f"1-{count}", "--drift-ppm", "50"]
     with Child("simulator", options, {}) as drives:
@@ -85,7 +95,33 @@ def measure(count: int, rate_hz: float, folder: Path) -> tuple[float, float]:
             moving = spent(
                 lambda: time.monotonic() > end and arrived(witness, way), way.duration_s + 15.0
             )
-            return standing, moving
+            return standing, moving, resident_mb(node.pid)
+
+
+def first_motion_s() -> tuple[float, float]:
+    """From the start of a process of six simulated axes: until it is active, until one moves."""
+    _, way = motion(6)
+    env = {"ROS_DOMAIN_ID": str(DOMAIN_ID)}
+    with Witness(DOMAIN_ID) as witness:
+        begun_s = time.monotonic()
+        channel = f"can.channel:=first{os.getpid()}"
+        with Child("driver", ["--ros-args", "-p", channel], env) as node:
+            log: list[str] = []
+            while not any("active: " in line for line in log):
+                witness.spin(0.005)
+                node.check()
+                log += node.lines()
+            active_s = time.monotonic() - begun_s
+            while not witness.positions:
+                witness.spin(0.005)
+            before = dict(witness.positions)
+            here = np.array([before[joint] for joint in way.joint_names])
+            there = Trajectory(way.joint_names, np.array([0.0, 1.0]), np.array([here, here + 0.1]))
+            witness.publish(there)
+            while all(abs(witness.positions[joint] - before[joint]) < MOVED for joint in before):
+                witness.spin(0.005)
+                node.check()
+            return active_s, time.monotonic() - begun_s
 
 
 def arrived(witness: Witness, way: Trajectory) -> bool:
@@ -101,15 +137,21 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--rate", type=float, default=50.0, help="state_rate [Hz]")
     parser.add_argument("--axes", type=int, nargs="+", default=AXES, metavar="N")
+    parser.add_argument("--start", type=int, metavar="N", help="N times until the first motion")
     chosen = parser.parse_args(argv)
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    print("| axes | standing, of one core | per axis | moving | per axis |\n|---|---|---|---|---|")
+    if chosen.start:
+        active_s, moved_s = np.median([first_motion_s() for _ in range(chosen.start)], axis=0)
+        print(f"active after {active_s:.2f} s, first motion after {moved_s:.2f} s (medians)")
+        return
+    print("| axes | standing, of one core | per axis | moving | per axis | memory |")
+    print("|---|---|---|---|---|---|")
     with tempfile.TemporaryDirectory() as folder:
         for count in chosen.axes:
-            standing, moving = measure(count, chosen.rate, Path(folder))
+            standing, moving, memory_mb = measure(count, chosen.rate, Path(folder))
             print(
                 f"| {count} | {standing:.1%} | {standing / count:.2%} | {moving:.1%} "
-                f"| {moving / count:.2%} |",
+                f"| {moving / count:.2%} | {memory_mb:.0f} MB |",
                 flush=True,
             )
 

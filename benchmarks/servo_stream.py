@@ -222,7 +222,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.servo_stream")
     parser.add_argument("--minutes", type=float, default=3.0, help="of bursts (%(default)s)")
     parser.add_argument("--delay", type=float, default=0.1, help="at most [s] (%(default)s)")
-    parser.add_argument("--ahead", type=float, default=0.05, help="ipm.stream_ahead (%(default)s)")
+    parser.add_argument("--ahead", type=float, default=0.14, help="ipm.stream_ahead (%(default)s)")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--bursts", type=int, help=argparse.SUPPRESS)
     parser.add_argument("--publisher", action="store_true", help=argparse.SUPPRESS)

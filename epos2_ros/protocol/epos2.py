@@ -14,7 +14,7 @@ PDOs (note, 3.7 and "Motion Synchronisation"). Identifiers are the predefined co
 | RPDO4 | 500+id  | asynchronous (255) | controlword: takes effect at once                  |
 | TPDO1 | 180+id  | event, inhibited   | statusword, buffer status                          |
 | TPDO2 | 280+id  | event, inhibited   | position actual, velocity actual                   |
-| TPDO3 | 380+id  | synchronous (1)    | statusword, current                                |
+| TPDO3 | 380+id  | synchronous (1)    | statusword, average current                        |
 | TPDO4 | 480+id  | synchronous (1)    | position demand, buffer status, following error    |
 
 The two synchronous TPDOs repeat statusword and buffer status at every SYNC, so that a lost
@@ -81,7 +81,7 @@ TARGET_POSITION = 0x607A
 POSITION_ACTUAL = 0x6064
 MAX_FOLLOWING_ERROR = 0x6065
 VELOCITY_ACTUAL = 0x606C
-CURRENT_ACTUAL = 0x6078
+CURRENT_AVERAGED = 0x2027  # of 0x6078, which follows every spike
 SOFTWARE_POSITION_LIMIT = 0x607D
 MAX_PROFILE_VELOCITY = 0x607F
 PROFILE_VELOCITY = 0x6081
@@ -123,7 +123,7 @@ RPDO_MAPPINGS = (
 TPDO_MAPPINGS = (
     PdoMapping(1, TPDO1, ASYNCHRONOUS, ((STATUSWORD, 0), (INTERPOLATION_STATUS, 1))),
     PdoMapping(2, TPDO2, ASYNCHRONOUS, ((POSITION_ACTUAL, 0), (VELOCITY_ACTUAL, 0))),
-    PdoMapping(3, TPDO3, SYNCHRONOUS, ((STATUSWORD, 0), (CURRENT_ACTUAL, 0))),
+    PdoMapping(3, TPDO3, SYNCHRONOUS, ((STATUSWORD, 0), (CURRENT_AVERAGED, 0))),
     PdoMapping(
         4,
         TPDO4,
@@ -264,7 +264,7 @@ FAMILY = Family(
         (POSITION_ACTUAL, 0): Field("i", "position_qc"),
         (VELOCITY_ACTUAL, 0): Field("i", "velocity"),
         (HIGH_RESOLUTION_TIME_STAMP, 0): Field("I", "latched"),
-        (CURRENT_ACTUAL, 0): Field("h", "current_ma"),
+        (CURRENT_AVERAGED, 0): Field("h", "current_ma"),
         (POSITION_DEMAND, 0): Field("i", "demand_qc"),
         (FOLLOWING_ERROR_ACTUAL, 0): Field("h", "following_error_qc"),
     },

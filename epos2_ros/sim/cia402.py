@@ -156,6 +156,11 @@ class Drive(Slave):
         return round(round(self._motor.velocity) / self._velocity_unit)
 
     @property
+    def current_actual(self) -> int:
+        """0x6078 [mA]: what accelerates the axis."""
+        return _int16(self._motor.acceleration / self._acceleration_unit * _MA_PER_RPM_S)
+
+    @property
     def mode(self) -> int:
         """0x6061."""
         return self._mode
@@ -259,9 +264,7 @@ class Drive(Slave):
             fast(
                 "Current actual value",
                 INTEGER16,
-                read=lambda: _int16(
-                    self._motor.acceleration / self._acceleration_unit * _MA_PER_RPM_S
-                ),
+                read=lambda: self.current_actual,
             ),
         )
         od.variable(

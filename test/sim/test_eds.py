@@ -59,6 +59,7 @@ DRIVE = [
     (0x6067, 0, U32, "rw", MAXU32, None, False),  # "off", CiA 402
     (0x6068, 0, U16, "rw", 0, None, False),
     (0x606C, 0, I32, "ro", None, None, True),
+    (0x2027, 0, I16, "ro", None, None, True),
     (0x6078, 0, I16, "ro", None, None, True),
     (0x607A, 0, I32, "rw", None, None, True),
     (0x607C, 0, I32, "rw", 0, None, False),

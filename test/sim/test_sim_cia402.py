@@ -178,5 +178,7 @@ def test_current_follows_acceleration(host: Host) -> None:
     host.control(0x001F)
     host.run(50)
     assert host.read(0x6078, signed=True) > 50
+    assert host.read(0x2027, signed=True) == pytest.approx(host.read(0x6078, signed=True), rel=0.2)
     host.run(200)
     assert host.read(0x6078, signed=True) == 0
+    assert host.read(0x2027, signed=True) == 0

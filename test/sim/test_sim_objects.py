@@ -49,6 +49,7 @@ NOTE = [
     (0x6068, 0, 2, False, "rw", 0, None),
     (0x606C, 0, 4, True, "ro", 0, True),
     (0x6078, 0, 2, True, "ro", 0, True),
+    (0x2027, 0, 2, True, "ro", 0, True),
     (0x20F4, 0, 2, True, "ro", 0, True),
     (0x607A, 0, 4, True, "rw", 0, True),
     (0x607C, 0, 4, True, "rw", 0, None),
