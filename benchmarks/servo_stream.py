@@ -147,7 +147,8 @@ def judged(states: Sequence[tuple[float, list[float], list[float]]], began_s: fl
     return lag, float(left.max()), float(after.max(initial=BURST_S) - BURST_S)
 
 
-def run(bursts: int, delay_s: float, ahead_s: float, seed: int) -> None:
+def run(bursts: int, delay_s: float, ahead_s: float, seed: int, group: str) -> None:
+    place = ["--interface", "udp_multicast", "--channel", group] if group else ["--slcan"]
     limits = {"gear_ratio": 100.0, "max_velocity": 2.0, "max_acceleration": 10.0}
     parameters: dict[str, object] = {
         "simulate": False,
@@ -157,11 +158,12 @@ def run(bursts: int, delay_s: float, ahead_s: float, seed: int) -> None:
     }
     with (
         tempfile.TemporaryDirectory() as folder,
-        Child("simulator", ["--slcan", "--nodes", "1-6", "--drift-ppm", "50"], {}) as drives,
+        Child("simulator", [*place, "--nodes", "1-6", "--drift-ppm", "50"], {}) as drives,
     ):
+        line = drives.first_line(READY_S)
         parameters["can"] = {
-            "interface": "slcan",
-            "channel": drives.first_line(READY_S).split()[-1],
+            "interface": "udp_multicast" if group else "slcan",
+            "channel": group or line.split()[-1],
         }
         file = Path(folder) / "params.yaml"
         file.write_text(yaml.safe_dump({"/epos2_driver": {"ros__parameters": parameters}}))
@@ -223,6 +225,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--minutes", type=float, default=3.0, help="of bursts (%(default)s)")
     parser.add_argument("--delay", type=float, default=0.1, help="at most [s] (%(default)s)")
     parser.add_argument("--ahead", type=float, default=0.14, help="ipm.stream_ahead (%(default)s)")
+    parser.add_argument("--udp", default="", metavar="GROUP", help="instead of an slcan adapter")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--bursts", type=int, help=argparse.SUPPRESS)
     parser.add_argument("--publisher", action="store_true", help=argparse.SUPPRESS)
@@ -233,7 +236,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         publish(chosen.bursts, chosen.delay, chosen.seed)
         return
     bursts = chosen.bursts or max(1, round(60 * chosen.minutes / (BURST_S + PAUSE_S)))
-    run(bursts, chosen.delay, chosen.ahead, chosen.seed)
+    run(bursts, chosen.delay, chosen.ahead, chosen.seed, chosen.udp)
 
 
 if __name__ == "__main__":
