@@ -156,8 +156,8 @@ class _Axis:
             delay_us = 1e6 * self._products / self._squares
             self._delay_us = min(max(delay_us, -MAX_DELAY_US), MAX_DELAY_US)
         rest_qc = error_qc - velocity * self._delay_us * 1e-6
-        # Whole counts: what is no more than that is taken for it, and evened out.
-        small = abs(rest_qc - self._rest_qc) <= ROUNDING_QC
+        # Whole counts: in motion what is no more than that is taken for it, and evened out.
+        small = bool(velocity) and abs(rest_qc - self._rest_qc) <= ROUNDING_QC
         self._rest_qc += (1 - FORGET if small else 1.0) * (rest_qc - self._rest_qc)
 
     # ------------------------------------------------------------------ off it
