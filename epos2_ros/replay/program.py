@@ -178,7 +178,8 @@ def _configuration(data: Any) -> tuple[DriverConfig | None, list[str]]:
     unknown: list[str] = []
     try:
         config = plain.from_plain(DriverConfig, data, unknown)
-        Rerun(config, 0.0)  # no driver comes up with what this can't be made of
+        Rerun(config, 0.0)  # no driver comes up with what these can't be made of
+        Decoder(Objects(config), config)
     except (TypeError, ValueError, ArithmeticError, LookupError, Epos2RosError) as error:
         why = " ".join(f"{type(error).__name__} {error}".split())
         return None, [f"the configuration in the log is none that this version can have: {why}"]
