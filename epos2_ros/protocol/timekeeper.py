@@ -1,9 +1,9 @@
 """TIME, SYNC, the time stamps that follow each SYNC, and the host's heartbeat.
 
-After a SYNC EPOS2 drives are asked by SDO what their clocks were at it (0x1013): by the maker's EDS
-of 2011 and 2013 no PDO can carry it to the host. Copley's say it in one. All are asked at once, at
-every SYNC where that is no more than READ_SHARE of the bus; at the others the clocks run on,
-uncorrected.
+After a SYNC each EPOS2 is asked by SDO what its clock was at it (0x1013): by maxon's EDS of 2011
+and 2013 no PDO can carry it to the host. Copley's say it in one. All are asked at once, at every
+SYNC where that is no more than READ_SHARE of the bus; at the others the clocks run on, uncorrected.
+READING: the latched time that is read is not moved by the correction that follows it.
 
 One correction per SYNC and drive (application note, 2.4), and only for a drive that has answered
 the SYNC with its own clock: a stamp for a SYNC that it missed would move it by a whole period. A
@@ -100,6 +100,7 @@ class Timekeeper:
         self._read_us = [-math.inf] * len(drives)  # the last SYNC whose clock each has told, …
         self._unread_us = [0.0] * len(drives)  # … and how long before the last read that was
         self._sees_syncs = self.produces
+        self._reads = False  # the clocks at the last SYNC count
         self._forget()
 
     def _forget(self) -> None:
@@ -151,7 +152,8 @@ class Timekeeper:
         self._syncs_us.appendleft(self._last_sync_us)
         self._last_sync_us = t_us
         self._begins_path = begins_path
-        if self._reads_at(t_us):
+        self._reads = self._reads_at(t_us)
+        if self._reads:
             self._unstamped_us = t_us
             self._round_due_us = t_us + self._round_us
             if self._asked:
@@ -177,7 +179,7 @@ class Timekeeper:
     def on_answer(self, drive: int, latched: int, now_us: float) -> None:
         """A drive has answered a SYNC with what its clock was then."""
         if self._unstamped_us == math.inf:
-            if self._latched[drive] is None:
+            if self._reads and self._latched[drive] is None:
                 self._stray[drive] = _LATE
             return
         ahead_us = self.clock.ahead_us(drive, latched, self._unstamped_us)
