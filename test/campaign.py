@@ -119,6 +119,8 @@ class Scenario:
     killed_s: float | None = None  # after the last action, and another host comes so much later
     source: str = "host"  # the clock master, and …
     producer: str = "host"  # … who sends SYNC: the host, or a drive with the note's dictionary
+    stamps: bool = True  # of the adapter; else frames have the time at which they are read
+    busy_us: float = 0.0  # so late, at most, the driver's thread wakes up
     seed: int = 0
 
 
@@ -174,6 +176,8 @@ def scenario_of(seed: int) -> Scenario:
         killed_s=chance.choice((*[None] * 8, 0.0, 0.3, 1.5)),
         source=_one_of(axes, chance),
         producer=_one_of(axes, chance),
+        stamps=chance.random() < 0.75,
+        busy_us=chance.choice((0.0, 0.0, 500.0, 5e3, 20e3)),
         seed=seed,
     )
 
@@ -337,6 +341,7 @@ class Stage(Bench):
         self.wall_us = before.wall_us if before else [(-math.inf, 1.7e15)]  # since when, ahead by
         self.stamp_us = self._stamped
         self._clock = ReceiveClock()
+        self.late_us = lambda: self.chance.uniform(0.0, scenario.busy_us)
         self._refuses_until_us = -math.inf  # the adapter takes no frames
         names = {drive.node_id: str(drive) for drive in self.machine.drives}
         self._other_host = OtherHost(names, self.machine.time.produces)
@@ -386,6 +391,8 @@ class Stage(Bench):
 
     def _stamped(self, t_us: float) -> float:
         """By the driver's own clock, from what the adapter has stamped with the wall clock."""
+        if not self.scenario.stamps:
+            return self.now_us
         return self._clock.host_us(self.wall_at_us(t_us) / 1e6)
 
     def _hand_over(self, frame: Frame) -> bool:

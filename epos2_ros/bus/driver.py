@@ -207,10 +207,7 @@ class Driver:
         self._outputs.open({drive.joint: node.node for drive, node in self._nodes.items()})
 
     def _bring_up(self, drives: Iterable[Drive]) -> None:
-        for drive in drives:
-            if self._closing:
-                raise BusError("the bus is being closed")
-            self._worker.run(partial(self._bring_up_drive, drive))
+        self._worker.run(partial(self._bring_up_drives, tuple(drives)))
         assert self._link is not None
         echoes = self._link.echoes
         self._reactor.call(
@@ -229,14 +226,24 @@ class Driver:
             node = self._nodes[producer]
             self._worker.run(lambda: node.produce_sync(period_us))
 
-    def _bring_up_drive(self, drive: Drive) -> None:
+    def _bring_up_drives(self, drives: Sequence[Drive]) -> None:
+        """All at once: each answers in its own time, and most of it is waiting for that."""
+        with ThreadPoolExecutor(len(drives), thread_name_prefix="bring-up") as pool:
+            identities = list(pool.map(self._bring_up_drive, drives))
+        for drive, identity in zip(drives, identities, strict=True):
+            self._introduce(drive, identity)
+
+    def _bring_up_drive(self, drive: Drive) -> Identity:
+        if self._closing:
+            raise BusError("the bus is being closed")
         statusword = self._nodes[drive].configure()
-        self._identify(drive)
+        identity = self._identify(drive)
         self._reactor.call(lambda: self._group.reconfigured(drive, statusword, now_us()))
         self._outputs.arm(drive.joint)
+        return identity
 
-    def _identify(self, drive: Drive) -> None:
-        """Ask a drive who it is, and say so unless that is known.
+    def _identify(self, drive: Drive) -> Identity:
+        """Ask a drive who it is.
 
         DriveError for another model in its place: what it was told may not be meant for that one.
         """
@@ -248,6 +255,10 @@ class Driver:
                 f"{identity.product}: put one like it in its place, or configure the driver anew "
                 "if this one is to stay"
             )
+        return identity
+
+    def _introduce(self, drive: Drive, identity: Identity) -> None:
+        """Say who a drive is, unless that is known."""
         if self._identities.get(drive.joint) != identity:
             self._identities = {**self._identities, drive.joint: identity}
             text = f"{drive.joint} (node {drive.node_id}): {identity}"

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from threading import Event
+from threading import Barrier, Event
 
 import numpy as np
 import pytest
 from two_processes import SCAN, rig
 
 from epos2_ros.bus import driver as driver_module
+from epos2_ros.bus.epos2 import Epos2Node
 from epos2_ros.errors import DriveError, TrajectoryError
 from epos2_ros.motion.reference import Reference
 from epos2_ros.motion.trajectory import Trajectory
@@ -60,3 +61,16 @@ def test_another_model_in_a_drive_s_place_is_refused(monkeypatch: pytest.MonkeyP
         identities[1] = replace(told, revision=0x2120_0000, serial_number=18)
         made.driver.reset_fault()
         made.driver.enable()
+
+
+def test_drives_are_brought_up_side_by_side(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Six that answer late take as long as one."""
+    both, configure = Barrier(2), Epos2Node.configure
+
+    def together(node: Epos2Node) -> int:
+        both.wait(10)
+        return configure(node)
+
+    monkeypatch.setattr(Epos2Node, "configure", together)
+    with rig("virtual", "driver bring-up", simulate=True) as made:
+        assert made.snapshot().state == "standing"
