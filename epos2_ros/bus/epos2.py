@@ -89,6 +89,7 @@ class Epos2Node:
         s, write = self.settings, self._objects.write
         if s.produces_sync:
             self._check_sync_producer()
+        self._objects.read(epos2.HIGH_RESOLUTION_TIME_STAMP)  # as it will be after each SYNC
         write(epos2.COB_ID_SYNC, epos2.SYNC)  # an earlier host may have made it the producer
         self._access.watch_host()
         self._stop_without_host()
