@@ -259,8 +259,8 @@ def _bus_load(
 ) -> BusLoad:
     """A drive answers each SYNC by its synchronous PDOs, and is asked twice in the buffer time what
     its buffer holds (SDO, there and back); what its clock was at each SYNC (SDO, too), as far as
-    these take no more than READ_SHARE of the bus. Its position comes at the state rate where it is
-    no such answer; what its buffer has taken, for each record where that is in a PDO."""
+    these take no more than READ_SHARE of the bus. Its position comes once in its inhibit time where
+    it is no such answer; what its buffer has taken, for each record where that is in a PDO."""
     count, end_s = len(axes), max(end_ms, 1) / 1000
     window_s = min(end_s, 1.0)
     pdos_per_s = count * 2 * 2 / config.buffer_time
@@ -272,7 +272,7 @@ def _bus_load(
             if tpdo.transmission_type == SYNCHRONOUS:
                 pdos_per_s += 1 / config.sync_period
             elif (POSITION_ACTUAL, 0) in tpdo.objects:
-                pdos_per_s += config.state_rate
+                pdos_per_s += 1e6 / config.state_inhibit_us
             elif status in tpdo.objects:
                 pdos_per_s += len(axis.records) / end_s
     clocks = sum(FAMILIES[axis.config.drive].has_clock for axis in axes)
