@@ -93,8 +93,11 @@ def measure(count: int, state_rate_hz: float, tolerance_qc: float, bitrate: int)
     )
 
 
-def reach(loads: Mapping[int, Load], few: int = 6, many: int = 12) -> int:
-    """How many axes before the load passes `FULL`, by the loads of `few` and of `many` axes."""
+def reach(loads: Mapping[int, Load], few: int = 12, many: int = 32) -> int:
+    """How many axes before the load passes `FULL`, by the loads of `few` and of `many` axes.
+
+    With many the clocks are not read at every SYNC.
+    """
     each = (loads[many].total - loads[few].total) / (many - few)
     return many + math.floor((FULL - loads[many].total) / each)
 
