@@ -16,6 +16,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
+from epos2_ros.bus import realtime
 from epos2_ros.bus.health import Health
 from epos2_ros.bus.identity import read_identity
 from epos2_ros.bus.link import Link
@@ -92,7 +93,14 @@ class Driver:
         self._config = config
         self._on_event = on_event
         self._supervisor = Supervisor(self._fail)
-        self._reactor = Reactor(self._step, partial(self._supervisor.broke, "the driver's thread"))
+        # Where nothing real moves, nobody else is to wait for it.
+        self._priority = 0 if config.simulate else config.realtime_priority
+        self._reactor = Reactor(
+            self._step,
+            partial(self._supervisor.broke, "the driver's thread"),
+            self._priority,
+        )
+        self._memory_locked = False
         self._simulation: Simulation | None = None
         self._link: Link | None = None
         self._log: LogWriter | None = None
@@ -168,8 +176,17 @@ class Driver:
         if self._config.simulate:
             self._simulation = Simulation(self._config)
         self._reactor.start()
+        if self._priority:
+            self._ask_for_real_time()
         self._open()
         self._bring_up(self._machine.drives)
+
+    def _ask_for_real_time(self) -> None:
+        scheduling = self._reactor.call(lambda: self._reactor.scheduling.refusal)
+        memory = realtime.lock_memory()
+        self._memory_locked = not memory
+        if refused := "; ".join(filter(None, (scheduling, memory))):
+            self._warn(f"no real time: {refused}; {realtime.DO}")
 
     def _open_log(self, file: Path) -> None:
         config = self._config
@@ -193,6 +210,7 @@ class Driver:
             self._reactor.post,
             self._reactor.offer,
             self._on_other,
+            self._priority,
         )
         # Before anything is sent: what another host does with these drives goes on untouched.
         if not config.simulate and self._another.wait(LISTEN_S):
@@ -502,6 +520,9 @@ class Driver:
             simulated=self._config.simulate,
             rejected=dict(self._rejects.counts),
             internal_errors=self._supervisor.mistakes,
+            late=self._reactor.lateness.figures(),
+            scheduling=str(self._reactor.scheduling),
+            memory_locked=self._memory_locked,
         )
 
     def _sync_time_source(self) -> str:

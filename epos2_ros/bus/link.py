@@ -19,6 +19,7 @@ import can
 import canopen
 
 from epos2_ros.bus.health import BusState, Health
+from epos2_ros.bus.realtime import Scheduling
 from epos2_ros.bus.slcan import SlcanBus
 from epos2_ros.bus.timestamps import ReceiveClock, now_us
 from epos2_ros.bus.transmitter import Transmitter, worst_case_bits
@@ -62,6 +63,7 @@ class Link:
     once, when nothing gets through any more: then open a new link. All by `post`, which runs a job
     in the thread that owns this object, as everything but `network` has to be; what comes in by
     `offer`, which does unless too much waits to be run already. Then the link has failed.
+    `priority`: of SCHED_FIFO, which the receiving thread takes; 0: an ordinary thread.
     """
 
     def __init__(
@@ -76,6 +78,7 @@ class Link:
         post: Callable[[Callable[[], None]], None],
         offer: Callable[[Callable[[], None]], bool],
         on_other: OnOther = lambda kind, can_id, data, t_us: None,
+        priority: int = 0,
     ) -> None:
         self.name = f"{interface}:{channel}"
         self.clock = ReceiveClock()
@@ -103,6 +106,7 @@ class Link:
         self._transmitter = Transmitter(self._hand_over, bitrate, echoes=False)
         self._pumping = False
         self._closing = False
+        self._scheduling = Scheduling(priority)
         self._swamped = False  # something that came in was not taken
         self._receiver = threading.Thread(target=self._receive, name="CAN receiver", daemon=True)
         self._receiver.start()
@@ -197,7 +201,9 @@ class Link:
 
     def _receive(self) -> None:
         unreadable: list[str] = []  # in a row
+        self._scheduling.begin()
         while not self._closing:
+            self._scheduling.look()
             began_us = now_us()
             try:
                 message = self._bus.recv(RECEIVE_TIMEOUT_S)

@@ -19,6 +19,8 @@ from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeoutError
 from typing import TypeVar
 
+from epos2_ros.bus.lateness import Lateness
+from epos2_ros.bus.realtime import Scheduling
 from epos2_ros.bus.timestamps import now_us
 from epos2_ros.errors import BusError
 
@@ -35,12 +37,21 @@ class Reactor:
     """Runs `step` when it is due, and jobs as they come.
 
     `step()` does what is due and returns when it wants to be called next (host time, µs).
-    `on_error` gets what it or a job raises.
+    `on_error` gets what it or a job raises. `priority`: of SCHED_FIFO; 0: an ordinary thread.
+    `lateness` is by how much later than it wanted the thread got to `step`, when it had time to
+    wait until then: it woke late, or was at a job.
     """
 
-    def __init__(self, step: Callable[[], float], on_error: Callable[[Exception], None]) -> None:
+    def __init__(
+        self,
+        step: Callable[[], float],
+        on_error: Callable[[Exception], None],
+        priority: int = 0,
+    ) -> None:
         self._step = step
         self._on_error = on_error
+        self.scheduling = Scheduling(priority)
+        self.lateness = Lateness()
         self._inbox: queue.SimpleQueue[Job] = queue.SimpleQueue()
         self._changed = True  # by a job, since `step` was called
         self._stopping = False
@@ -115,21 +126,25 @@ class Reactor:
         self._stopping = True
 
     def _run(self) -> None:
+        self.scheduling.begin()
         due_us = -math.inf
         while not self._stopping:
             if self._changed or now_us() >= due_us:
                 self._changed = False
                 due_us = self._guarded_step()
-            wait_s = (due_us - now_us()) / 1e6
+            waits_us = due_us - now_us()
             try:
-                job = self._inbox.get(timeout=max(0.0, wait_s))
+                self._guarded(self._inbox.get(timeout=max(0.0, waits_us / 1e6)))
+                for _ in range(self._inbox.qsize()):
+                    self._guarded(self._inbox.get_nowait())
             except queue.Empty:
-                continue
-            self._guarded(job)
-            for _ in range(self._inbox.qsize()):
-                self._guarded(self._inbox.get_nowait())
+                pass
+            late_us = now_us() - due_us
+            if waits_us > 0 and late_us >= 0:
+                self.lateness.add(late_us)
 
     def _guarded_step(self) -> float:
+        self.scheduling.look()
         try:
             return self._step()
         except Exception as error:
@@ -137,6 +152,7 @@ class Reactor:
             return now_us() + RETRY_US
 
     def _guarded(self, job: Job) -> None:
+        self.scheduling.look()
         try:
             job()
         except Exception as error:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from epos2_ros.bus.health import BusState
+from epos2_ros.bus.lateness import LatenessFigures
 from epos2_ros.motion.units import AxisUnits
 from epos2_ros.protocol.identity import Identity
 from epos2_ros.protocol.machine import Machine
@@ -85,6 +86,9 @@ class Snapshot:
     simulated: bool = False  # the drives are simulated, in the driver's own process
     rejected: Mapping[str, int] = field(default_factory=dict)  # input that was dropped, by kind
     internal_errors: int = 0
+    late: LatenessFigures | None = None  # the thread that feeds the drives; None: not yet
+    scheduling: str = ""  # of that thread
+    memory_locked: bool = False
 
 
 def joint_states(whereabouts: Whereabouts, machine: Machine, now_us: float) -> JointStates:

@@ -192,6 +192,13 @@ GROUP: dict[str, Spec] = {
     ),
     "state_rate": Spec(50.0, "rate of /joint_states [Hz]", 0.1, 1000.0),
     "status_rate": Spec(10.0, "rate of ~/buffer_status [Hz]", 0.1, 1000.0),
+    "realtime.priority": Spec(
+        50,
+        "SCHED_FIFO priority of the threads that feed the drives and receive, and memory is "
+        "locked, where the system allows it; 0: neither",
+        0,
+        99,
+    ),
     "log.file": Spec(
         "", "log of every frame and of what the driver does, for `replay`; ends in .asc; '': none"
     ),
@@ -364,6 +371,7 @@ class DriverParameters:
             goal_time=values["constraints.goal_time"],
             allow_partial_joints_goal=values["allow_partial_joints_goal"],
             state_rate=values["state_rate"],
+            realtime_priority=values["realtime.priority"],
             log_file=values["log.file"] or None,
             log_size=values["log.size"],
             outputs=tuple(map(self.output, values["outputs"])),

@@ -190,6 +190,7 @@ def _bus_of(snapshot: Snapshot, node: str, channel: str) -> DiagnosticStatus:
         level, message = WARN, "input was dropped that makes no sense here"
     if snapshot.state == "fault":
         level, message = ERROR, snapshot.reason
+    late = snapshot.late
     return DiagnosticStatus(
         level=level,
         name=f"{node}: bus",
@@ -213,6 +214,11 @@ def _bus_of(snapshot: Snapshot, node: str, channel: str) -> DiagnosticStatus:
                 "SYNC time from": snapshot.sync_time_source,
                 "last start late by [us]": _given(snapshot.start_error_us, ".0f"),
                 "internal errors": str(snapshot.internal_errors),
+                "scheduling": snapshot.scheduling,
+                "memory": "locked" if snapshot.memory_locked else "not locked",
+                "thread late, median [us]": _given(late and late.median_us, ".0f"),
+                "thread late, 99 % [us]": _given(late and late.most_us, ".0f"),
+                "thread late, worst [us]": _given(late and late.worst_us, ".0f"),
                 **{f"dropped: {kind}": str(n) for kind, n in snapshot.rejected.items()},
             }
         ),

@@ -159,6 +159,23 @@ def test_a_search_that_takes_too_long_is_stopped():
     assert "homing by current_threshold_negative failed" in str(motion.exception())
 
 
+def test_nothing_is_due_for_an_axis_that_is_home_while_another_still_searches():
+    near = replace(homing("index_positive"), speeds=(0.2, 0.2), max_travel=0.05)
+    slow = replace(homing("current_threshold_negative"), speeds=(0.02, 0.02))
+    bench = made_bench(near, slow)
+    steps, advance = [], bench.machine.advance
+
+    def counting(now_us: float) -> None:
+        steps.append(now_us)
+        assert len(steps) < 20_000, f"not waiting any more at {now_us / 1e6:.1f} s"
+        advance(now_us)
+
+    bench.machine.advance = counting
+    home(bench)
+    took_s = (steps[-1] - steps[0]) / 1e6
+    assert took_s > 10 + 3 * 0.05 / 0.2  # longer than the first would have been waited for
+
+
 def test_a_limit_switch_before_the_home_is_a_homing_error():
     dead_home = replace(SWITCHES, home=(math.inf, -math.inf))
     bench = made_bench(homing("home_switch_positive"), switches=dead_home)

@@ -127,7 +127,8 @@ class Homing(Mode):
         return ""
 
     def due_ms(self) -> float:
-        return 1000 * min(_time_limit_s(drive, search) for drive, search in self._searches.items())
+        searching = [item for item in self._searches.items() if not self._home(item[0])]
+        return 1000 * min((_time_limit_s(*item) for item in searching), default=math.inf)
 
     def arrived(self) -> bool:
         return all(self._home(drive) for drive in self._searches)
