@@ -37,6 +37,7 @@ class Witness:
     def __init__(self, domain_id: int, outputs: Sequence[str] = ()) -> None:
         self.positions: dict[str, float] = {}
         self.buffers: dict[str, dict[str, str]] = {}  # by joint, the keys of ~/buffer_status
+        self.diagnostics: dict[str, dict[str, str]] = {}  # by joint, output and "bus"
         self.messages: dict[str, int] = {}  # how many came, by topic
         self._buffer_errors: dict[str, str] = {}
         self._active_at = -inf
@@ -177,6 +178,10 @@ class Witness:
                 self._buffer_errors[status.name] = ", ".join(errors).replace("_", " ")
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        bus = {pair.key: pair.value for pair in message.status[-1].values}
+        self.diagnostics = {
+            status.name.rpartition(": ")[2]: {pair.key: pair.value for pair in status.values}
+            for status in message.status
+        }
+        bus = self.diagnostics["bus"]
         self._sync_count = int(bus["SYNC count"])
         self._bus_load = max(self._bus_load, float(bus["load [%]"]))
