@@ -70,6 +70,7 @@ class Rig:
         )
         settings = {
             "simulate": False,
+            "realtime_priority": 0,  # of the tests' process, where these threads run
             "buffer_time": 2.0,  # a busy test machine is no real-time one, …
             "state_rate": 10.0,  # … and under user-mode Linux a frame costs a millisecond
             **settings,

@@ -119,7 +119,7 @@ def _tell(talk: Dialogue, event: Event) -> None:
 def _alone(config: DriverConfig, axis: AxisConfig) -> DriverConfig:
     """This joint only: one that was not checked yet is not put under power.
 
-    Simulated drives are ours, not the driver's.
+    Simulated drives are ours, not the driver's; a single slow axis needs no real time.
     """
     return replace(
         config,
@@ -128,6 +128,7 @@ def _alone(config: DriverConfig, axis: AxisConfig) -> DriverConfig:
         sync_source="host",
         sync_producer="host",
         simulate=False,
+        realtime_priority=0,
     )
 
 

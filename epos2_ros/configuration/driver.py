@@ -97,7 +97,7 @@ class DriverConfig:
     goal_time: float = 1.0  # [s]; 0: no limit
     allow_partial_joints_goal: bool = False
     state_rate: float = 50.0  # [Hz]
-    realtime_priority: int = 0  # SCHED_FIFO, of the threads that feed and receive; 0: ordinary
+    realtime_priority: int = 50  # SCHED_FIFO, of the threads that feed and receive; 0: ordinary
     outputs: tuple[CompareConfig, ...] = ()
     log_file: str | None = None
     log_size: float = 100.0  # of all its files [MB]

@@ -14,6 +14,7 @@ import struct
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from itertools import count
 
 import can
@@ -253,7 +254,7 @@ def test_the_bus_is_closed_in_the_end(nth: int, silent: bool) -> None:
     with can.Bus(interface="virtual", channel=channel) as bus:
         simulator = RealtimeSimulator(bus, [drive])
         simulator.start()
-        config = DriverConfig(axes=CONFIG.axes, channel=channel, simulate=False)
+        config = replace(CONFIG, channel=channel, simulate=False, realtime_priority=0)
         begun_s = time.monotonic()
         try:
             with pytest.raises(DriveError, match=r"joint_2 \(node 2\)"):

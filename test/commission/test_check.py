@@ -215,7 +215,9 @@ def bench(answers: str, drive: str = "epos2", **axis: Any) -> Iterator[tuple[Any
     with can.Bus(interface="virtual", channel=channel) as theirs:
         simulator = RealtimeSimulator(theirs, made)
         simulator.start()
-        driver = Driver(DriverConfig(axes=(config,), channel=channel, simulate=False))
+        driver = Driver(
+            DriverConfig(axes=(config,), channel=channel, simulate=False, realtime_priority=0)
+        )
         try:
             driver.configure()
             out = io.StringIO()

@@ -35,6 +35,7 @@ from shipped import PARAMETER_FILES
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from epos2_ros.bus.lateness import LatenessFigures
 from epos2_ros.bus.snapshot import AxisSnapshot, JointStates, OutputSnapshot, Snapshot
 from epos2_ros.configuration.driver import ClockLimits, DriverConfig
 from epos2_ros.configuration.files import read_parameters
@@ -964,6 +965,7 @@ def test_a_clock_beyond_its_limits_is_told(offset_us, drift_ppm, level, message)
         ({"dropped_frames": 3}, DiagnosticStatus.WARN),
         ({"error_frames": 1}, DiagnosticStatus.WARN),
         ({"refused_frames": 9}, DiagnosticStatus.OK),  # a full queue only delays
+        ({"late": LatenessFigures(80.4, 900.0, 70_000.0, 9)}, DiagnosticStatus.OK),
         ({"state": "fault", "reason": "b: over-current"}, DiagnosticStatus.ERROR),
     ],
 )
@@ -971,7 +973,10 @@ def test_diagnostics_of_the_bus(values, level):
     snapshot = snapshot_of(axis_snapshot("a", 1), **values)
     bus = messages.diagnostics(snapshot, "epos2_driver", "can0", Time(), ClockLimits()).status[-1]
     assert (bus.level, bus.name) == (level, "epos2_driver: bus")
-    assert {v.key: v.value for v in bus.values}["load [%]"] == "12.5"
+    told = {v.key: v.value for v in bus.values}
+    assert told["load [%]"] == "12.5"
+    late = [told[f"thread late, {which} [us]"] for which in ("median", "99 %", "worst")]
+    assert late == (["80", "900", "70000"] if "late" in values else ["", "", ""])
 
 
 @pytest.mark.parametrize(
