@@ -16,6 +16,7 @@ from driver_program import Program
 from driver_program import program as program  # a fixture
 
 from epos2_ros import surroundings
+from epos2_ros.configuration.parameters import GROUP
 
 ROOT = Path(__file__).resolve().parent.parent
 UNIT = ROOT / "examples" / "epos2_ros.service"
@@ -87,6 +88,9 @@ def test_the_unit_runs_the_driver_as_a_user_of_its_own_and_lets_it_stop() -> Non
     assert os.access(ROOT / "scripts" / "driver", os.X_OK)
     assert (service["KillSignal"], service["Restart"]) == ("SIGTERM", "on-failure")
     assert service["RestartPreventExitStatus"] == "2"
+    assert int(service["LimitRTPRIO"]) >= GROUP["realtime.priority"].default
+    assert service["LimitMEMLOCK"] == "infinity"
+    assert "RestrictRealtime" not in service
     assert service["CacheDirectory"] in service_environment("NUMBA_CACHE_DIR")
     assert service["LogsDirectory"] in service_environment("ROS_LOG_DIR")
 

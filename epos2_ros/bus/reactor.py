@@ -38,8 +38,8 @@ class Reactor:
 
     `step()` does what is due and returns when it wants to be called next (host time, µs).
     `on_error` gets what it or a job raises. `priority`: of SCHED_FIFO; 0: an ordinary thread.
-    `lateness` is by how much later than it wanted the thread got to `step`, when it had time to
-    wait until then: it woke late, or was at a job.
+    `lateness` is by how much later than it was due, or than the last one had begun, `step` was
+    called: the thread woke late, or was at something else.
     """
 
     def __init__(
@@ -127,21 +127,22 @@ class Reactor:
 
     def _run(self) -> None:
         self.scheduling.begin()
-        due_us = -math.inf
+        due_us, stepped_us = -math.inf, now_us()
         while not self._stopping:
-            if self._changed or now_us() >= due_us:
-                self._changed = False
+            now = now_us()
+            if self._changed or now >= due_us:
+                if now >= due_us:
+                    self.lateness.add(now - max(due_us, stepped_us))
+                self._changed, stepped_us = False, now
                 due_us = self._guarded_step()
-            waits_us = due_us - now_us()
+            wait_s = (due_us - now_us()) / 1e6
             try:
-                self._guarded(self._inbox.get(timeout=max(0.0, waits_us / 1e6)))
-                for _ in range(self._inbox.qsize()):
-                    self._guarded(self._inbox.get_nowait())
+                job = self._inbox.get(timeout=max(0.0, wait_s))
             except queue.Empty:
-                pass
-            late_us = now_us() - due_us
-            if waits_us > 0 and late_us >= 0:
-                self.lateness.add(late_us)
+                continue
+            self._guarded(job)
+            for _ in range(self._inbox.qsize()):
+                self._guarded(self._inbox.get_nowait())
 
     def _guarded_step(self) -> float:
         self.scheduling.look()

@@ -81,8 +81,8 @@ def test_a_job_at_which_the_thread_is_when_something_falls_due_makes_it_late():
         steps.append(now_us())
         return now_us() + 20_000.0
 
+    assert Lateness().figures() is None
     reactor = Reactor(step, pytest.fail)
-    assert reactor.lateness.figures() is None
     reactor.start()
     try:
         reactor.call(lambda: time.sleep(0.1))
