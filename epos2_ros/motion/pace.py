@@ -35,7 +35,8 @@ def paced(curve: Curve, limits: Limits) -> Curve:
     """A curve through positions alone, with velocities between which there are motions within the
     limits, or as little beyond them as can be, within MARGINS.
 
-    Axes for which there are none keep those that their curve had.
+    Of axes for which there are none, with velocities that exceed limits only where they have to, so
+    that what is refused is said of the right place.
     """
     durations, ((starts, ends), (v0, v1)) = curve.pieces(0, len(curve.times_s) - 1)
     times, own = vector(durations), np.column_stack((v0, v1[:, -1]))
@@ -45,15 +46,16 @@ def paced(curve: Curve, limits: Limits) -> Curve:
         for faster, steeper in _SHARES:
             fastest = float(limits.velocity[axis]) * (1 + faster)
             steepest = float(limits.acceleration[axis]) * (1 + steeper)
-            if _pass(times, ways, vector(wished), fastest, steepest, found):
-                velocities[:, axis] = found
+            last = (faster, steeper) == _SHARES[-1]
+            if _pass(times, ways, vector(wished), fastest, steepest, last, found):
                 break
+        velocities[:, axis] = found
     return Curve(curve.times_s, curve.positions, velocities)
 
 
 def prepare() -> None:
     """Compile this module, or load what an earlier run has compiled, before time matters."""
-    _pass(vector([1.0]), vector([0.0]), vector([0.0] * 2), 1.0, 1.0, vector([0.0] * 2))
+    _pass(vector([1.0]), vector([0.0]), vector([0.0] * 2), 1.0, 1.0, False, vector([0.0] * 2))
 
 
 @compiled
@@ -63,10 +65,11 @@ def _pass(
     wished: Vector,
     fastest: float,
     steepest: float,
+    anyway: bool,
     found: Vector,
 ) -> bool:
     """Velocities at the points, from the first of those `wished` for to the last of them, into
-    `found`; False if there are none."""
+    `found`; False if there are none, and not some are wanted `anyway`."""
     pieces = len(ways)
     low, high = room(pieces + 1), room(pieces + 1)
     low[0] = high[0] = wished[0]
@@ -74,11 +77,17 @@ def _pass(
         mean, spare = ways[i] / durations[i], _spare(durations[i], fastest, steepest)
         low[i] = max(low[i], _least(mean, spare, fastest))
         high[i] = min(high[i], -_least(-mean, spare, fastest))
+        if low[i] > high[i]:
+            low[i] = high[i] = (low[i] + high[i]) / 2
+            if not anyway:
+                return False
         low[i + 1] = max(_slowest(high[i], mean, spare, fastest), -fastest)
         high[i + 1] = min(-_slowest(-low[i], -mean, spare, fastest), fastest)
-        if low[i] > high[i] or low[i + 1] > high[i + 1]:
-            return False
-    if wished[pieces] < low[pieces] or wished[pieces] > high[pieces]:
+        if low[i + 1] > high[i + 1]:
+            low[i + 1] = high[i + 1] = (low[i + 1] + high[i + 1]) / 2
+            if not anyway:
+                return False
+    if not (anyway or low[pieces] <= wished[pieces] <= high[pieces]):
         return False
     for i in range(pieces - 1, 0, -1):  # the same, backward in time
         mean, spare = ways[i] / durations[i], _spare(durations[i], fastest, steepest)

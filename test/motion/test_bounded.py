@@ -255,6 +255,21 @@ def test_positions_that_no_motion_within_the_limits_passes_are_refused() -> None
     assert "acceleration" in remark and "(10 % more)" in remark
 
 
+def test_of_positions_alone_the_leg_that_asks_for_too_much_is_named() -> None:
+    """1 rad in 0.8 s to where a plan begins takes joint_2 more than 4 rad/s². The plan itself is
+    right, though what joins its points by their shape alone has more acceleration still."""
+    plan = from_toppra(1)
+    first = plan.positions[:1] + np.array([0, 1.0, 0, 0, 0, 0])
+    spoilt = Trajectory(
+        plan.joint_names,
+        np.append(0.0, plan.times_s + 0.8),
+        np.vstack((first, plan.positions)),
+    )
+    with pytest.raises(TrajectoryError, match="joint 'joint_2': acceleration") as refused:
+        from_rest(spoilt, planned_axes(plan))
+    assert float(str(refused.value).split(" s,")[0].split()[-1]) <= 1.1
+
+
 @settings(max_examples=25, deadline=None)
 @given(gentle(kinds=("positions",)), st.floats(1.0, 2.0))
 def test_positions_alone_keep_their_shape_where_that_keeps_the_limits(
