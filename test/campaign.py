@@ -475,6 +475,8 @@ class Stage(Bench):
                     self.wakes_us = t_us + min(lasts_us, 3e6)
                 case "clock":
                     if isinstance(drive, Epos2):
+                        if not self.machine.time.produces:  # how late it was seen nobody knows
+                            self.meddled(node, 0)
                         jump_us = self.chance.choice((-1, 1)) * 10 ** self.chance.uniform(2, 5)
                         drive._shift_path(jump_us)
                         drive.clock._offset_us += jump_us
