@@ -90,7 +90,7 @@ class Trajectory:
             sec + nanosec * 1e-9,
             {field: list(map(attrgetter(field), points)) for field in _FIELDS},
             stamp.sec + stamp.nanosec * 1e-9,
-            has_effort=any(len(point.effort) for point in points),
+            has_effort=any(map(len, map(attrgetter("effort"), points))),
             published=published,
         )
 
