@@ -72,8 +72,8 @@ CLOCK_READINGS = 3  # unless one took no longer than …
 CLOCK_READING_NS = 20_000
 SET_BACK_NS = 1_000_000_000  # a clock that is behind its last reading by more
 SIGNALS_S = 0.25  # between looks for signals
-# New objects after which Python looks for garbage, which stops all threads: not amidst the points of
-# a long trajectory. Python: 700
+# New objects after which Python looks for garbage, which stops all threads: not amidst the points
+# of a long trajectory. Python: 700
 GARBAGE_AFTER = 100_000
 SWITCH_INTERVAL_S = 0.0005  # how long a received frame waits for a computing thread; Python: 5 ms
 
