@@ -33,9 +33,11 @@ class PathTime:
     def correct(self, t_us: float) -> None:
         """The start SYNC was on the bus then, by the drives' clocks.
 
-        Less is the noise of these; more is by how much the host has seen it late.
+        Less is the noise of these; more is by how much the host has seen it late, as far as it
+        can have.
         """
-        if abs(t_us - (self.start_us or t_us)) > NOISE_US:
+        late_us = (self.start_us or t_us) - t_us
+        if NOISE_US < late_us < self.late_us + NOISE_US:
             self.begin(t_us)
         self.late_us = 0.0
 
