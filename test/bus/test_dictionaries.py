@@ -161,7 +161,7 @@ def test_a_drive_that_can_t_send_its_clock_is_refused_as_clock_master() -> None:
 
 @BOTH
 @pytest.mark.parametrize("notation", [0, -1, -2, -3])
-@pytest.mark.parametrize("rpm", [None, 24.9, 249.0, 2_490.0])
+@pytest.mark.parametrize("rpm", [None, 249.0])
 def test_velocity_units_as_fine_as_0x607f_lets_them_be(
     dictionary: Dictionary, notation: int, rpm: float | None
 ) -> None:

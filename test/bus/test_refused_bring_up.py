@@ -195,7 +195,7 @@ def test_any_access_refused_with_any_code(
     assert runs >= 60 * CODES_PER_ACCESS
 
 
-@pytest.mark.parametrize("nth", range(0, 95, 1 if ALL else 13))
+@pytest.mark.parametrize("nth", range(0, 95, 1 if ALL else 19))
 @pytest.mark.parametrize("family", KINDS)
 def test_an_access_that_is_never_answered(family: str, nth: int) -> None:
     drive = KINDS[family](2, nth, lambda request: None)
