@@ -11,6 +11,7 @@ from collections import deque
 
 from epos2_ros.sim.dictionary import (
     INTEGER8,
+    INTEGER16,
     INTEGER32,
     UNSIGNED8,
     UNSIGNED16,
@@ -35,9 +36,11 @@ class Cl3eStub:
         od = self.dictionary = ObjectDictionary()
         for index, kind, value in (
             (0x1000, UNSIGNED32, 0x0004_0192),
+            (0x100C, UNSIGNED16, 0),
             (0x1017, UNSIGNED16, 0),
             (0x2061, UNSIGNED32, 1),
             (0x2062, UNSIGNED32, 60),
+            (0x3700, INTEGER16, -1),
             (0x6041, UNSIGNED16, 0x0240),
             (0x6061, INTEGER8, 0),
             (0x6064, INTEGER32, -4000),

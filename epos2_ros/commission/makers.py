@@ -6,13 +6,13 @@ Nanotec 2014). Reading is all that is needed: "write only" says as well that an 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 from epos2_ros.bus.identity import DEVICE_NAME, IDENTITY, SOFTWARE_VERSION
 from epos2_ros.commission.found import DEVICE_TYPE, Found
 from epos2_ros.commission.uploads import Address, Questions
 from epos2_ros.configuration.parameters import AXIS
-from epos2_ros.protocol import cia402, epos2
+from epos2_ros.protocol import cia402, cl3e, copley, copley_pvt, epos2
 from epos2_ros.protocol.identity import COPLEY, MAXON, NANOTEC
 
 ERROR_FIELD = 0x1003
@@ -82,6 +82,8 @@ class Maker:
 
     drive = ""  # as of axes.<joint>.drive
     counts = "units"  # what 0x6064 counts
+    modes: Mapping[int, str] = {}  # of operation that the driver needs, by their bits in 0x6502
+    needed: Mapping[Address, str] = {}  # objects that it needs besides CiA 402's
     questions: tuple[Address, ...] = ()
     boot_ups = 2  # boot-up messages at one start, at most: some boot loaders send one, too
 
@@ -118,7 +120,14 @@ class Maker:
             return ["it is no drive of CiA 402"]
         if self.drive not in AXIS["drive"].choices:
             return [f"the driver knows no drives of {found.identity.maker}"]
-        return []
+        for mode, name in self.modes.items():
+            if not _has_mode(found, mode):
+                return [f"it has no {name} mode (0x6502)"]
+        return [
+            f"it has no {name} (0x{address[0]:04X}-{address[1]:02X})"
+            for address, name in self.needed.items()
+            if found.lacks(*address)
+        ]
 
 
 class Maxon(Maker):
@@ -132,7 +141,8 @@ class Maxon(Maker):
     PULSES, SENSOR_TYPE = 1, 2
     INCREMENTAL_ENCODERS = (1, 2)  # sensor types: with index, without
     OLDEST = 0x2101  # with interpolated position mode (the note, 1)
-    NEEDED = {
+    modes = {INTERPOLATED_POSITION: "interpolated position"}
+    needed = {
         (epos2.INTERPOLATION_DATA_RECORD, 0): "interpolation data record",
         (epos2.INTERPOLATION_STATUS, 1): "interpolation buffer status",
         (epos2.INTERPOLATION_DATA_CONFIGURATION, 1): "interpolation buffer size",
@@ -145,7 +155,7 @@ class Maxon(Maker):
         (SENSOR, SENSOR_TYPE),
         (epos2.VELOCITY_NOTATION_INDEX, 0),
         (epos2.MAX_FOLLOWING_ERROR, 0),
-        *NEEDED,
+        *needed,
     )
 
     def firmware(self, found: Found) -> str:
@@ -172,20 +182,12 @@ class Maxon(Maker):
         return found.integer(epos2.VELOCITY_NOTATION_INDEX, signed=True) or 0
 
     def lacks(self, found: Found) -> list[str]:
-        if missing := super().lacks(found):
-            return missing
-        if (version := int(self.firmware(found)[:-1], 16)) < self.OLDEST:
+        if is_drive(found) and (version := int(self.firmware(found)[:-1], 16)) < self.OLDEST:
             return [
                 f"firmware {version:04X}h has no interpolated position mode: update it to "
                 f"{self.OLDEST:04X}h or newer with EPOS Studio"
             ]
-        if not _has_mode(found, INTERPOLATED_POSITION):
-            return ["it has no interpolated position mode (0x6502)"]
-        return [
-            f"it has no {name} (0x{address[0]:04X}-{address[1]:02X})"
-            for address, name in self.NEEDED.items()
-            if found.lacks(*address)
-        ]
+        return super().lacks(found)
 
 
 class Copley(Maker):
@@ -194,29 +196,35 @@ class Copley(Maker):
     drive = "copley"
     boot_ups = 1
     counts = "counts"
-    questions = FACTORS
+    modes = {PROFILE_POSITION: "profile position", INTERPOLATED_POSITION: "interpolated position"}
+    needed = {
+        (copley_pvt.BUFFER_STATUS.index, 0): "PVT buffer status",
+        (copley.DESIRED_STATE, 0): "desired amplifier state",
+        (epos2.HIGH_RESOLUTION_TIME_STAMP, 0): "high resolution time stamp",
+        (epos2.GUARD_TIME, 0): "guard time",
+    }
+    questions = (*FACTORS, *needed)
 
     def units(self, found: Found) -> str:
         return ", ".join(["0.1 counts/s", *_factors(found)])
-
-    def lacks(self, found: Found) -> list[str]:
-        if missing := super().lacks(found):
-            return missing
-        if not _has_mode(found, PROFILE_POSITION):
-            return ["it has no profile position mode (0x6502)"]
-        return []
 
 
 class Nanotec(Maker):
     """CL3-E: units are fractions of its own up to FIR-v17xx, 0x60A8 and 0x60A9 in newer ones."""
 
     drive = "cl3e"
+    modes = {PROFILE_POSITION: "profile position"}
+    needed = {
+        (epos2.GUARD_TIME, 0): "guard time",
+        (cl3e.FOLLOWING_ERROR_OPTION, 0): "following error option code",
+    }
     VELOCITY_NUMERATOR, VELOCITY_DENOMINATOR, SI_VELOCITY = 0x2061, 0x2062, 0x60A9
     questions = (
         (VELOCITY_NUMERATOR, 0),
         (VELOCITY_DENOMINATOR, 0),
         (SI_VELOCITY, 0),
         *FACTORS,
+        *needed,
     )
 
     def units(self, found: Found) -> str:

@@ -268,6 +268,15 @@ def test_old_firmware_and_missing_objects_are_no_good() -> None:
     assert lacks[2] == []
 
 
+def test_a_copley_drive_without_its_pvt_buffer_is_no_good() -> None:
+    drive = Copley(4)
+    del drive.dictionary._entries[0x2012, 0]
+    drive.dictionary._indices.discard(0x2012)
+    scanned = Scanned(drive, Copley(5), listen_s=0)
+    assert maker_of(scanned[4]).lacks(scanned[4]) == ["it has no PVT buffer status (0x2012-00)"]
+    assert maker_of(scanned[5]).lacks(scanned[5]) == []
+
+
 # --- what is odd ----------------------------------------------------------------------------
 
 
