@@ -1144,8 +1144,8 @@ def _tell(seed: int, whole: bool) -> int:
     stage: list[Stage] = []
     made = Stage.__init__
 
-    def note(self: Stage, scenario: Scenario) -> None:
-        made(self, scenario)
+    def note(self: Stage, scenario: Scenario, *more: Any) -> None:
+        made(self, scenario, *more)
         stage.append(self)
 
     with mock.patch.object(Stage, "__init__", note):
