@@ -100,7 +100,10 @@ STEPS: Mapping[Phase, Mapping[Phase, str]] = {
         Phase.HALTING: "SYNC came first",
         Phase.DISABLING: "disable",
     },
-    Phase.HALTING: {Phase.READYING: "on request, all stand"},
+    Phase.HALTING: {
+        Phase.READYING: "on request, all stand",
+        Phase.HALTING: "stopped by another master: halted once more",
+    },
     Phase.QUICK_STOPPING: {Phase.DISABLED: "all stand"},
     Phase.DISABLING: {Phase.DISABLED: "all are off"},
     Phase.RESETTING: {
