@@ -44,4 +44,4 @@ def test_32_axes_move_on_one_bus_at_1_mbit_s():
 def test_how_many_axes_fill_a_bus(six: float, twelve: float, axes: int):
     """Every further axis takes as much as the last; 60 % is full, also with fewer than twelve."""
     loads = {6: Load(six, 0.0, 0.0, 0.0), 12: Load(twelve, 0.0, 0.0, 0.0)}
-    assert reach(loads) == axes
+    assert reach(loads, 6, 12) == axes
