@@ -1,7 +1,8 @@
 """All tests, as `make test` runs them: `python test/run.py [arguments of pytest]`.
 
 Those that compute run side by side on all cores; then those that run in real time, with processes
-and buses of their own, one after another: what they measure must not wait for others.
+and buses of their own and mostly waiting, two files at a time, as more would have to wait for each
+other; then those on SocketCAN, one after another, in one guest where this kernel has none.
 """
 
 from __future__ import annotations
@@ -11,7 +12,11 @@ import sys
 from collections.abc import Sequence
 
 NO_TESTS = 5  # pytest's status when none was selected
-PHASES = (("-n", "auto", "--dist", "worksteal", "-m", "not realtime"), ("-m", "realtime"))
+PHASES = (
+    ("-n", "auto", "--dist", "worksteal", "-m", "not realtime and not socketcan"),
+    ("-n", "2", "--dist", "loadfile", "-m", "realtime and not socketcan"),
+    ("-m", "socketcan"),
+)
 
 
 def main(arguments: Sequence[str]) -> int:

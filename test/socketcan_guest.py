@@ -70,6 +70,11 @@ class Guest:
         self._reports: dict[str, list[pytest.TestReport]] = {}
         self._output = ""
 
+    @pytest.hookimpl(trylast=True)
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        """They come last: what others have set up is taken down before one that runs here."""
+        items.sort(key=lambda item: item.get_closest_marker("socketcan") is not None)
+
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtestloop(self, session: pytest.Session) -> None:
         items = [item for item in session.items if item.get_closest_marker("socketcan")]
