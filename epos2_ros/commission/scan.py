@@ -10,7 +10,7 @@ from epos2_ros.bus.link import open_bus
 from epos2_ros.commission import report, wire
 from epos2_ros.commission.parameter_file import parameter_file
 from epos2_ros.commission.place import Place, add_place, place_of
-from epos2_ros.configuration.arguments import without_ros_arguments
+from epos2_ros.configuration.arguments import number, without_ros_arguments
 from epos2_ros.configuration.parameters import BIT_RATES
 from epos2_ros.errors import Epos2RosError
 
@@ -65,16 +65,6 @@ def _elsewhere(place: Place) -> Iterator[str]:
         yield from OTHER_BITRATES.format(channel=place.channel).splitlines()
 
 
-def _seconds(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0 <= value <= 60:
-        raise argparse.ArgumentTypeError(f"{text!r}: must be a number of seconds from 0 to 60")
-    return value
-
-
 def _arguments(argv: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="epos2_ros scan",
@@ -84,7 +74,7 @@ def _arguments(argv: Sequence[str]) -> argparse.Namespace:
     add_place(parser)
     parser.add_argument(
         "--listen",
-        type=_seconds,
+        type=number(0, 60, "a number of seconds from 0 to 60"),
         default=LISTEN_S,
         metavar="SECONDS",
         help=f"listen so long before anything is sent (default: {LISTEN_S:g})",

@@ -1,8 +1,10 @@
-"""Command lines with ROS arguments in them: `--ros-args … [--]`."""
+"""Command lines of the programs: ROS arguments in them (`--ros-args … [--]`), types of values."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import argparse
+import math
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from epos2_ros.configuration.parameter_file import ParameterFile
@@ -30,6 +32,35 @@ def given_parameters(argv: Iterable[str]) -> list[ParameterFile]:
                 section = {f"/{node.lstrip('/')}": {name: text}}
                 given.append(ParameterFile(f"{option} {value}", section))
     return given
+
+
+def number(
+    least: float = -math.inf, most: float = math.inf, words: str = "a number"
+) -> Callable[[str], float]:
+    """A finite number within limits, as argparse's `type`; `words`: what it must be."""
+
+    def read(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not (math.isfinite(value) and least <= value <= most):
+            raise argparse.ArgumentTypeError(f"{text!r}: must be {words}")
+        return value
+
+    return read
+
+
+def path_ending(*suffixes: str) -> Callable[[str], Path]:
+    """The path of a file of one of these kinds, as argparse's `type`."""
+
+    def read(text: str) -> Path:
+        path = Path(text)
+        if path.suffix not in suffixes:
+            raise argparse.ArgumentTypeError(f"{text!r}: must end in {', '.join(suffixes)}")
+        return path
+
+    return read
 
 
 def _split(argv: Iterable[str]) -> tuple[list[str], Sequence[str]]:

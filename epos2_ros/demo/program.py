@@ -17,6 +17,7 @@ from typing import Any
 
 import yaml
 
+from epos2_ros.configuration.arguments import path_ending
 from epos2_ros.configuration.files import (
     DRIVER,
     read_parameters,
@@ -61,7 +62,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         "or revolute joints of 2000 counts and gear 100)",
     )
     parser.add_argument(
-        "--output", type=_png, metavar="PNG", help="the plot (default: demo_<trajectory>.png)"
+        "--output",
+        type=path_ending(".png"),
+        metavar="PNG",
+        help="the plot (default: demo_<trajectory>.png)",
     )
     parser.add_argument(
         "--two-processes",
@@ -327,10 +331,3 @@ def ros_domain() -> int:
     """A ROS domain that is not the user's: no robot of theirs may hear this trajectory."""
     domain = 1 + os.getpid() % 100
     return domain + 1 if str(domain) == os.environ.get("ROS_DOMAIN_ID") else domain
-
-
-def _png(text: str) -> Path:
-    path = Path(text)
-    if path.suffix != ".png":
-        raise argparse.ArgumentTypeError(f"{text!r}: must end in .png")
-    return path

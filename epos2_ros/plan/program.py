@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
 
 from epos2_ros import surroundings
-from epos2_ros.configuration.arguments import without_ros_arguments
+from epos2_ros.configuration.arguments import number, path_ending, without_ros_arguments
 from epos2_ros.configuration.driver import DriverConfig
 from epos2_ros.configuration.files import read_parameters, read_trajectories, shipped_parameters
 from epos2_ros.configuration.parameters import AXIS, DriverParameters
@@ -187,14 +186,14 @@ def _arguments(argv: Sequence[str]) -> argparse.Namespace:
     )
     parser.add_argument(
         "--start",
-        type=_position,
+        type=number(),
         nargs="+",
         metavar="POSITION",
         help="where the trajectory's joints stand [rad or m] (default: where its first point is)",
     )
     parser.add_argument(
         "--output",
-        type=_drawing,
+        type=path_ending(*DRAWINGS),
         metavar="FILE",
         help=f"draw the curves, errors and knots; {', '.join(DRAWINGS)}",
     )
@@ -206,20 +205,3 @@ def _arguments(argv: Sequence[str]) -> argparse.Namespace:
         help="write every crossing of the position-triggered outputs, as CSV",
     )
     return parser.parse_args(without_ros_arguments(argv))
-
-
-def _position(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"{text!r}: must be a number")
-    return value
-
-
-def _drawing(text: str) -> Path:
-    path = Path(text)
-    if path.suffix not in DRAWINGS:
-        raise argparse.ArgumentTypeError(f"{text!r}: must end in {', '.join(DRAWINGS)}")
-    return path

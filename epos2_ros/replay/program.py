@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from epos2_ros.buslog import plain
 from epos2_ros.buslog.asc import EventLine, FrameLine
-from epos2_ros.configuration.arguments import without_ros_arguments
+from epos2_ros.configuration.arguments import number, path_ending, without_ros_arguments
 from epos2_ros.configuration.driver import DriverConfig
 from epos2_ros.configuration.files import read_parameters
 from epos2_ros.configuration.parameters import DriverParameters
@@ -246,10 +246,11 @@ def _arguments(argv: Sequence[str]) -> argparse.Namespace:
         help="a log of the driver (log.file) or of the simulator (--bus-log), or of others, such "
         "as of candump -L, as far as python-can reads them",
     )
+    seconds = number(words="a number of seconds")
     parser.add_argument(
-        "--from", dest="begin", type=_seconds, default=-math.inf, metavar="S", help="[s] in the log"
+        "--from", dest="begin", type=seconds, default=-math.inf, metavar="S", help="[s] in the log"
     )
-    parser.add_argument("--to", dest="end", type=_seconds, default=math.inf, metavar="S")
+    parser.add_argument("--to", dest="end", type=seconds, default=math.inf, metavar="S")
     parser.add_argument(
         "--axis", nargs="+", default=[], metavar="JOINT", help="joints or node ids (default: all)"
     )
@@ -264,26 +265,9 @@ def _arguments(argv: Sequence[str]) -> argparse.Namespace:
     )
     parser.add_argument(
         "--output",
-        type=_drawing,
+        type=path_ending(*DRAWINGS),
         metavar="FILE",
         help="draw executed against commanded positions, buffer levels and clock offsets; "
         f"{', '.join(DRAWINGS)}",
     )
     return parser.parse_args(without_ros_arguments(argv))
-
-
-def _seconds(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"{text!r}: must be a number of seconds")
-    return value
-
-
-def _drawing(text: str) -> Path:
-    path = Path(text)
-    if path.suffix not in DRAWINGS:
-        raise argparse.ArgumentTypeError(f"{text!r}: must end in {', '.join(DRAWINGS)}")
-    return path

@@ -13,7 +13,7 @@ from typing import NoReturn
 import can
 
 from epos2_ros.buslog.writer import LogWriter
-from epos2_ros.configuration.arguments import without_ros_arguments
+from epos2_ros.configuration.arguments import number, without_ros_arguments
 from epos2_ros.errors import ConfigurationError, Epos2RosError
 from epos2_ros.receive_buffer import deepen
 
@@ -58,16 +58,6 @@ def _positive(text: str) -> int:
     return int(text)
 
 
-def _not_negative(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0 <= value < 1e6:
-        raise argparse.ArgumentTypeError(f"{text!r}: must be a number from 0 on")
-    return value
-
-
 def _arguments(argv: list[str]) -> argparse.Namespace:
     parser = _Parser(prog="epos2_ros simulator", description=__doc__)
     parser.add_argument("--interface", default="socketcan", help="python-can interface")
@@ -92,7 +82,10 @@ def _arguments(argv: list[str]) -> argparse.Namespace:
         "--counts-per-turn", type=_positive, default=2000, help="of the encoders [qc]"
     )
     parser.add_argument(
-        "--drift-ppm", type=_not_negative, default=0.0, help="clocks drift by up to ± this"
+        "--drift-ppm",
+        type=number(0, 1e6, "a number from 0 on"),
+        default=0.0,
+        help="clocks drift by up to ± this",
     )
     parser.add_argument(
         "--dictionary",
@@ -205,8 +198,8 @@ def main(argv: list[str] | None = None) -> int:
         print(f"epos2_ros simulator: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
     stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
+    for each in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(each, lambda *_: stop.set())
     drives = build_drives(
         arguments.nodes,
         counts_per_turn=arguments.counts_per_turn,
