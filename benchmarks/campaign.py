@@ -45,6 +45,7 @@ TOLERANCES_QC = (0.5, 0.6, 1.0, 1.0, 1.0, 2.0, 10.0)
 SMOOTHNESSES = (0.0, 0.3, 1.0)
 BUFFER_TIMES_S = (0.05, 0.08, 0.15, 0.3, 0.5, 0.5, 1.0)
 SLACK_QC = 1e-6
+ROUNDING_QC = 0.5  # more than the tolerance, where the fitter says so
 LATEST_MS = 1000  # after the end commanded
 
 
@@ -126,6 +127,7 @@ class Run:
         self.before: list[Record] = []  # the reference
         self.judged: list[list[Record]] = [[] for _ in self.axes]  # or still to be, along it
         self.ends_ms: list[list[int]] = [[] for _ in self.axes]
+        self.told_qc = [0.0 for _ in self.axes]  # how far off the fitter said it goes since judged
 
     def tell(self, text: str) -> None:
         if self.say:
@@ -185,6 +187,7 @@ class Run:
         if record is None or k0 > self.reference.end_ms + LATEST_MS:
             raise Trouble(f"axis {axis} is still moving {k0 - self.reference.end_ms} ms too late")
         self.records += 1
+        self.told_qc[axis] = max(self.told_qc[axis], self.fitter.off_qc(axis))
         if self.say:
             k1 = np.array([k0 + record.time])
             off = record.position - self.reference.positions(k1)[0, axis]
@@ -218,7 +221,7 @@ class Run:
             if moving:
                 self.judge_axis(axis, start, moving, commanded[since_ms[axis] - first_ms :, axis])
             self.before[axis] = self.last[axis]
-            self.judged[axis] = []
+            self.judged[axis], self.told_qc[axis] = [], 0.0
 
     def judge_axis(
         self, axis: int, start: Record, records: Sequence[Record], commanded: Array
@@ -228,12 +231,14 @@ class Run:
         position = executed(*way).position_qc
         off = float(np.abs(position - commanded[: len(position)])[1:].max())
         self.beyond += int(off > tolerance + SLACK_QC)
+        if off > max(tolerance, self.told_qc[axis]) + SLACK_QC:
+            raise Trouble(f"axis {axis} is {off:.3f} qc off, unsaid, before {self.last[axis]}")
         # Of a fast axis the commanded acceleration may jump far between two milliseconds, and the
-        # velocity where no acceleration is too much.
+        # velocity where no acceleration is too much; of a slow one rounding takes half a count.
         jump = fit.max_velocity_qc_s / 1e3
         if fit.max_acceleration_qc_s2 < math.inf:
             jump = min(jump, (fit.max_acceleration_qc_s2 - fit.spare_acceleration_qc_s2) / 1e6)
-        if off > tolerance + (jump / 2 if jump > tolerance else 0) + SLACK_QC:
+        if off > tolerance + max(jump / 2, ROUNDING_QC) + SLACK_QC:
             raise Trouble(f"axis {axis} is {off:.3f} qc off, before {self.last[axis]}")
         cubics, times_ms = segments(*way)
         velocity, acceleration = (float(most.max()) for most in cubics.extremes(times_ms / 1000))

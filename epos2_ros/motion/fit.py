@@ -126,10 +126,19 @@ class Fitter:
         """Path time of the axis' last committed knot."""
         return int(self._plans[axis][0])
 
+    def off_qc(self, axis: int) -> float:
+        """How far from the reference the segment to the axis' last committed knot gets [qc].
+
+        More than the tolerance only where no segment keeps that and the drive's limits: by half a
+        count at most for rounding, or half of what the commanded curve jumps within 1 ms.
+        """
+        return float(self._plans[axis][knots.OFF])
+
     def next(self, axis: int) -> Record | None:
         """Commit the axis' next record; `Record(p, 0, 0)` ends the motion, then None.
 
-        TrajectoryError when no segment keeps tolerance and limits.
+        TrajectoryError when no segment keeps tolerance and limits; `off_qc` says where one was
+        taken that does not keep the tolerance.
         """
         samples, plan = self._samples, self._plans[axis]
         if samples is None or self._ended[axis]:

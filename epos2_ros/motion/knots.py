@@ -34,6 +34,11 @@ knot may grow no faster than the acceleration that a drive's limits leave can tu
 tolerance. Where the ways found lead nowhere all the same, the search goes back to the committed
 knot, and by dynamic programming over a grid of times along knots next to the commanded curve.
 
+At a tolerance of half a count that may be in vain, too: where a curve passes half of a count by a
+thousandth of one and turns back, both counts are too far away within a few milliseconds, in which
+no drive gets from one to the other. There the tolerance is widened, by half a count at most, as
+little as needed; a plan tells how far off each segment is.
+
 Units: ms, qc, qc/ms; velocities of knots are whole drive velocity units.
 
 This is scalar code for `motion/compiled`, and so one module.
@@ -52,13 +57,14 @@ WIDTH = 2  # ways on that are carried along
 KNOT = 3  # numbers per knot: path time [ms], position [qc], velocity [units]
 _DEBT = KNOT * (DEPTH + 1)  # in a way: its knots, the committed one first, and its debt [ms]
 _WAY = _DEBT + 1
-PLAN = WIDTH * _WAY + 4  # numbers of a plan: its ways, the best first, and
+PLAN = WIDTH * _WAY + 5  # numbers of a plan: its ways, the best first, and
 _WAYS = WIDTH * _WAY
 _KNOWN = _WAYS + 1
 _COMPLETE = _WAYS + 2
 _REST = _WAYS + 3
-# how many ways there are, how many segments of each, whether they reach the end, and the path
-# time up to which the axis rests
+OFF = _WAYS + 4
+# how many ways there are, how many segments of each, whether they reach the end, the path time up
+# to which the axis rests, and how far off the last segment committed gets [qc]
 
 _LEVELS = 5  # classes of velocities on either side of the commanded one, at least a unit apart,
 _LEVEL = 4.0  # this many tolerances per length of the segment otherwise
@@ -78,6 +84,7 @@ _TURNS = 2  # and velocities on either side of the commanded one, at least a uni
 _TURN = 0.5  # this share otherwise of a tolerance per, or what can be turned in, a longest segment
 _ASTRAY = 0.1  # records given for a knot to be a tolerance, or the last one a velocity, nearer
 _JUMP = 0.5  # how much more may be off of what a jump of acceleration or velocity does within 1 ms
+_WIDER = (1 / 8, 1 / 4, 1 / 2)  # counts more where rounding leaves no way within the tolerance
 _LATE = 0.01  # and for the motion to end a millisecond sooner
 _ROUGHNESS_UNIT = 1e3  # (1/ms)³ per qc²: 1 record for (1000 qc/s²)²·s at a tolerance of 1 qc
 
@@ -211,6 +218,18 @@ def keeps(
     if a != 0 and 0 < -b / (3 * a) < time:  # the acceleration turns there
         fastest = max(fastest, abs(v0 - b * b / (3 * a)))
     return fastest <= terms.fastest and max(abs(2 * b), abs(2 * b + 6 * a * time)) <= terms.steepest
+
+
+@compiled
+def _off(path: Path, k: int, p0: float, v0: float, time: int, p1: float, v1: float) -> float:
+    """How far from the commanded positions a segment gets at any millisecond [qc]."""
+    mean = (p1 - p0) / time
+    b = (3 * mean - 2 * v0 - v1) / time
+    a = (v0 + v1 - 2 * mean) / (time * time)
+    most = 0.0
+    for t in range(1, time + 1):
+        most = max(most, abs(((a * t + b) * t + v0) * t + p0 - path.positions[k + t]))
+    return most
 
 
 @inlined
@@ -712,6 +731,7 @@ def advance(
             forget(plan)
             plan[_REST], rests_to = ended + first_ms, ended
     found = True
+    plan[OFF] = 0.0  # at rest it is half a count at most
     if rests_to > start:
         left = rests_to - start
         plan[0] += left if left <= longest else min(longest, (left + 1) // 2)
@@ -727,19 +747,26 @@ def advance(
         # acceleration between two milliseconds may be more than can be kept within the tolerance.
         jump = min(aims[2], max(aims[3] - aims[6], 0.0) if aims[3] < inf else inf)
         jump = jump if jump < inf else 0.0
-        for beyond in range(2):
+        for wider in range(2 + len(_WIDER)):
             half = longest
-            tolerance = aims[1] + beyond * _JUMP * jump
+            tolerance = aims[1]
+            if wider == 1:
+                tolerance += _JUMP * jump
+            elif wider > 1:
+                tolerance += _WIDER[wider - 2]
             while not found and half > 0:
                 terms = Terms(
                     aims[0], tolerance, aims[2], aims[3], aims[4], half, aims[6], aims[7]
                 )
-                for wider in range(2):
-                    near, turns = _NEAR << wider, _TURNS << wider
+                for more in range(2):
+                    near, turns = _NEAR << more, _TURNS << more
                     found = found or _careful(path, plan, terms, last, near, turns)
                 half //= 2
         if found:
+            _, p0, v0 = _knot(plan, 0, 0, terms.unit)
             _commit(path, plan, terms)
+            k1, p1, v1 = _knot(plan, 0, 0, terms.unit)
+            plan[OFF] = _off(path, start, p0, v0, k1 - start, p1, v1)
     _shift(plan, first_ms)
     return int(plan[0]) - first_ms - start if found else 0
 

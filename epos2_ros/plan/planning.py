@@ -169,6 +169,7 @@ class Plan:
     load: BusLoad
     latency: Latency
     outputs: OutputPlans
+    remarks: tuple[str, ...]  # of the records
 
     @property
     def duration_s(self) -> float:
@@ -251,6 +252,7 @@ def make_plan(trajectory: Trajectory, config: DriverConfig, start: Sequence[floa
             whole,
             {axis.config.joint: (piece.path for piece in axis.pieces()) for axis in axes},
         ),
+        tuple(feeder.remarks),
     )
 
 

@@ -108,7 +108,7 @@ def notes(plan: Plan) -> list[str]:
     said = [BEYOND_NOTE] if any(BEYOND in cell for row in rows(plan) for cell in row) else []
     if plan.reference.remark:
         said.append(f"warning: {BEYOND_POINTS}: {plan.reference.remark}")
-    return said
+    return said + [f"warning: {remark}" for remark in plan.remarks]
 
 
 def figures(plan: Plan) -> list[tuple[str, str]]:

@@ -210,6 +210,44 @@ def test_what_no_drive_can_follow_is_refused() -> None:
     converted(fast, [FitAxis(RPM, 150_100.0, 610_000.0)])
 
 
+@settings(max_examples=80, deadline=None)
+@given(
+    speed_qc_s=st.floats(0.3, 8.0),
+    beyond_qc=st.floats(-4.0, -1.7).map(lambda decades: 10**decades),
+    bow_ms=st.integers(4, 40),
+    before_ms=st.integers(0, 16),
+    sign=st.sampled_from([1, -1]),
+)
+def test_half_a_count_that_is_just_passed_leaves_a_way_on(
+    speed_qc_s: float, beyond_qc: float, bow_ms: int, before_ms: int, sign: int
+) -> None:
+    """At the least tolerance: a creeping axis is told to turn back in the moment before it hops to
+    the next count. That takes 16 ms at its limits; there may be less between the two counts."""
+    k, turn_ms, slope = np.arange(2500), 1000, speed_qc_s / 1000
+    begin_ms, end_ms = turn_ms - bow_ms, turn_ms + bow_ms
+    on = 0.5 + beyond_qc - slope * bow_ms / 2 + slope * (k - begin_ms)
+    bow = 0.5 + beyond_qc - slope / bow_ms * (k - turn_ms) ** 2 / 2
+    back = bow[end_ms] - slope * (k - end_ms)
+    turns = np.select([k < begin_ms, k <= end_ms], [on, bow], back)
+    on, turns = (sign * (curve - np.floor(on[0]))[:, None] for curve in (on, turns))
+    creeps = FitAxis(RPM, 120.0, 26_000.0, 25_500.0)
+    fitter, records, told_qc = Fitter([creeps], 0.5, max_segment_ms=16), [], 0.0
+    start = first_positions(Positions(on))
+    fitter.begin(Positions(on), start)
+    while fitter.committed_ms(0) < begin_ms - before_ms:
+        records.append(fitter.next(0))
+    assume(fitter.committed_ms(0) <= begin_ms)
+    fitter.replace(Positions(turns))
+    while (record := fitter.next(0)) is not None:
+        records.append(record)
+        told_qc = max(told_qc, fitter.off_qc(0))
+    position, speed, acceleration = drive_executes(start[0], records[:-1])
+    off_qc = np.abs(position[:2500] - turns[: len(position), 0]).max()  # it may rest later
+    assert off_qc <= max(0.5, told_qc) + 1e-6
+    assert off_qc <= 0.5 + beyond_qc + 1e-6  # both counts are so far away when it turns
+    assert speed.max() <= 120.0 and acceleration.max() <= 26_000.0 * (1 + 1e-9)
+
+
 # --------------------------------------------------------------------------- few of them
 
 

@@ -209,6 +209,29 @@ def test_a_late_host_is_no_fault(form: Form) -> None:
     assert_followed(run, form.until_s, most=2.2)
 
 
+def test_a_creeping_stream_that_rounding_leaves_no_way_is_a_warning_and_no_fault() -> None:
+    """At the least tolerance, around half of a count: there no count is near enough at times."""
+    random = np.random.default_rng(38)
+    slow = axes(1, max_velocity=0.001, max_acceleration=0.02)
+    bench = Bench(DriverConfig(axes=slow, tolerance=0.5))
+    bench.enable()
+    place_qc, speed_qc_s = 0.5, 3.0
+    for _ in range(40):
+        if random.random() < 0.2:
+            speed_qc_s = random.uniform(-8, 8)
+        place_qc += speed_qc_s * 0.034
+        if abs(place_qc - 0.5) > 0.3:
+            speed_qc_s = -speed_qc_s
+        point = np.array([[place_qc / QC_PER_RAD]])
+        message = Trajectory(JOINTS[:1], np.array([0.034]), point, published=True)
+        bench.path.submit(message, None, bench.now_us)
+        bench.run(0.034)
+    bench.run(3.0, lambda: bench.group.phase is Phase.STANDING)
+    assert [event.kind for event in bench.events] == ["started", "warning", "done"]
+    assert "joint_1 (node 1) is 0.50" in bench.events[1].text
+    assert "ipm.tolerance is 0.5 qc" in bench.events[1].text
+
+
 def test_a_plan_has_to_end_at_rest_and_a_long_message_is_a_plan() -> None:
     moving = np.full((2, 2), 0.1)
     with pytest.raises(UnfinishedTrajectory):

@@ -174,6 +174,8 @@ class Interpolated(Mode):
         except TrajectoryError as error:
             self._broken = str(error)
             return False
+        while self.feeder.remarks:
+            self._out.announce("warning", self.feeder.remarks.pop(0))
         if fed is not None:
             axis, record = fed
             self._out.frames.extend(axis.send(record, path_ms))

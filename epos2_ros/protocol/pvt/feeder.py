@@ -34,6 +34,7 @@ SPARE_RECORDS = 4  # of a buffer, that are never used
 STREAM_SEGMENT_MS = 16
 """Longest segment of a stream: its points are a moment ahead, and what is committed is lag."""
 
+_SLACK_QC = 1e-6
 KEPT_MS = 1000.0  # of what was commanded, for those who compare it with what is measured
 
 
@@ -50,7 +51,10 @@ class Feeder:
     ) -> None:
         self.reference: Reference | None = None
         self.known_from_ms = -math.inf  # from here on `reference` is what was commanded, too
+        self.remarks: list[str] = []  # what a user should know of the motion and has not been told
         self._path_ms = 0.0
+        self._tolerance_qc = tolerance_qc
+        self._strayed: set[int] = set()  # axes of which it was said that they can't keep it
         self._axes = axes
         self._buffer_time_ms = buffer_time_ms
         self._stream_ahead_ms = min(stream_ahead_ms, buffer_time_ms)
@@ -61,6 +65,8 @@ class Feeder:
         """A new motion, from where the drives stand."""
         self._follow(reference)
         self.known_from_ms, self._path_ms = -math.inf, 0.0
+        self.remarks.clear()
+        self._strayed.clear()
         self._fitter.begin(reference, [axis.standing_qc for axis in self._axes], HOLD_MS)
         for axis in self._axes:
             axis.begin()
@@ -129,10 +135,20 @@ class Feeder:
     def _next_record(self, index: int, axis: PvtAxis) -> Record | None:
         if not axis.account.sent:
             return Record(axis.standing_qc, 0, HOLD_MS)
+        from_ms = self._fitter.committed_ms(index)
         try:
-            return self._fitter.next(index)
+            record = self._fitter.next(index)
         except TrajectoryError as error:
             raise TrajectoryError(f"{axis}: {error}") from error
+        off_qc = self._fitter.off_qc(index)
+        if off_qc > self._tolerance_qc + _SLACK_QC and index not in self._strayed:
+            self._strayed.add(index)
+            self.remarks.append(
+                f"{axis} is {off_qc:.3g} qc off the commanded path at {from_ms / 1000:.3f} s, "
+                f"ipm.tolerance is {self._tolerance_qc:g} qc: whole counts and its limits leave "
+                "no way within it"
+            )
+        return record
 
     def _due_ms(self, account: BufferAccount) -> float:
         if account.ended or account.blocked:
