@@ -1,0 +1,158 @@
+"""Set-points: what a drive with a queue of one makes of them, by the simulated drive's ramps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import inf
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from trajectories import axes_of, curve_of, example
+
+from epos2_ros.motion.reference import Reference
+from epos2_ros.motion.setpoints import SetPoint, SetPointAxis, SetPointFitter
+from epos2_ros.motion.trajectory import Trajectory
+from epos2_ros.motion.units import AxisUnits
+from epos2_ros.sim import ramps
+
+RPM = 2000 / 60  # of an axis with 2000 counts per turn [qc/s], [qc/s²]
+FEEDING_MS = 60
+SYNC_MS = 20.0
+
+
+@dataclass
+class Executed:
+    """What a drive has made of set-points, at every millisecond of path time."""
+
+    position_qc: NDArray[np.float64]
+    velocity_qc_ms: NDArray[np.float64]
+    begun_ms: list[int]  # when each set-point became the active one
+
+
+def drive_executes(
+    start_qc: int,
+    points: Sequence[SetPoint],
+    axis: SetPointAxis,
+    handshake_ms: Callable[[], int],
+    until_ms: int,
+) -> Executed:
+    """The rules of the chapter, a cycle at a time: one active, one queued, bit 9 as it is queued.
+
+    A set-point is queued so long after the one before has become active; it has to be there before
+    that one brakes. One that begins later than the last has ended is begun by the host.
+    """
+    at = ramps.State(float(start_qc), 0.0, 0.0)
+    profile: ramps.Profile | None = None
+    since = 0
+    positions, velocities, begun = [at.position], [0.0], []
+    coming = list(points)
+    queued: SetPoint | None = None
+    queue_ms = inf
+
+    def limits(point: SetPoint) -> ramps.Limits:
+        unit, rate = axis.velocity_unit_qc_s * 1e-3, axis.acceleration_unit_qc_s2 * 1e-6
+        return ramps.Limits(
+            point.velocity * unit, point.acceleration * rate, point.deceleration * rate
+        )
+
+    def begin(point: SetPoint, now: int) -> None:
+        nonlocal profile, since, active, queue_ms
+        profile, reached = ramps.move(at, float(point.target_qc), 0.0, limits(point))
+        assert reached, "it can't brake for its target"
+        active, since = point, now
+        begun.append(now)
+        queue_ms = now + handshake_ms()
+
+    active: SetPoint | None = None
+    for now in range(until_ms + 1):
+        if now and profile is not None:
+            at = profile.at(now - since)
+            if now - since >= profile.duration:
+                profile = None if not profile.end.velocity else profile
+                assert active is not None
+                if queued is not None:
+                    following, queued = queued, None
+                    begin(following, now)
+                else:
+                    assert not at.velocity, "it runs on"
+                    active = None
+        if now:
+            positions.append(at.position)
+            velocities.append(at.velocity)
+        if active is None and coming and coming[0].begin_ms == now:
+            begin(coming.pop(0), now)
+        ends_ms = since + profile.duration if profile is not None else -inf
+        if active is not None and queued is None and coming and now == queue_ms:
+            if coming[0].begin_ms > ends_ms + 1:
+                continue  # it waits for its SYNC
+            queued = coming.pop(0)
+            if active.passes:
+                target, top = float(active.target_qc), limits(active).velocity
+                profile, kept = ramps.move(at, target, top, limits(active))
+                assert kept, "bit 9 is ignored"
+                since = now
+    assert not coming and queued is None
+    return Executed(np.array(positions), np.array(velocities), begun)
+
+
+def axis_of(velocity_qc_s: float, acceleration_qc_s2: float, share: float = 1.0) -> SetPointAxis:
+    return SetPointAxis(
+        share * RPM, share * RPM, velocity_qc_s, acceleration_qc_s2, FEEDING_MS, SYNC_MS
+    )
+
+
+def followed(fitter: SetPointFitter) -> list[SetPoint]:
+    """All set-points from now on, asked for as soon as there is room."""
+    points = []
+    while not fitter.ended:
+        if (point := fitter.next(fitter.due_ms)) is not None:
+            points.append(point)
+    return points
+
+
+def largest_error_qc(reference: Reference, column: int, made: Executed) -> float:
+    k = np.arange(len(made.position_qc))
+    return float(np.abs(made.position_qc - reference.positions(k)[:, column]).max())
+
+
+def check(
+    points: Sequence[SetPoint],
+    made: Executed,
+    reference: Reference,
+    column: int,
+    axis: SetPointAxis,
+    error_qc: float,
+) -> None:
+    """What holds for every motion from rest to rest."""
+    assert [point.begin_ms for point in points] == made.begun_ms
+    assert made.velocity_qc_ms[-1] == 0.0
+    end_qc = reference.positions(np.array([reference.end_ms]))[0, column]
+    assert made.position_qc[-1] == np.floor(end_qc + 0.5)
+    assert largest_error_qc(reference, column, made) == pytest.approx(error_qc, abs=1e-3)
+    assert np.abs(made.velocity_qc_ms).max() <= axis.max_velocity_qc_s * 1e-3 + 1e-9
+    bends_qc_s2 = np.abs(np.diff(made.velocity_qc_ms)) * 1e6
+    assert bends_qc_s2.max(initial=0.0) <= axis.max_acceleration_qc_s2 + 1e-3
+    for point in points:
+        assert all(type(x) is int for x in point[:6])
+        assert min(point.velocity, point.acceleration, point.deceleration) >= 1
+
+
+def reference_of(trajectory: Trajectory) -> Reference:
+    units = tuple(AxisUnits.of(axis) for axis in axes_of(trajectory.joint_names))
+    return Reference(units, (curve_of(trajectory),))
+
+
+@pytest.mark.parametrize("name", ["pick_place", "jerk_limited"])
+@pytest.mark.parametrize("column", [0, 3])
+def test_an_axis_of_an_example(name: str, column: int) -> None:
+    reference = reference_of(example(name))
+    axis = axis_of(160_000.0, 1_000_000.0)
+    fitter = SetPointFitter(axis, column)
+    fitter.begin(reference, 0)
+    points = followed(fitter)
+    until_ms = max(reference.end_ms, points[-1].end_ms) + 5
+    made = drive_executes(0, points, axis, lambda: FEEDING_MS - 2, until_ms)
+    check(points, made, reference, column, axis, fitter.error_qc)
+    assert fitter.error_qc < 200.0
