@@ -30,6 +30,7 @@ from epos2_ros.protocol.outbox import Event, Poll, SdoRequest
 from epos2_ros.protocol.phase import Phase, follows
 from epos2_ros.protocol.sdo import SdoRead, SdoWrite
 from epos2_ros.sim.can_bus import Remote, SimulatedBus, TransmitQueueFull
+from epos2_ros.sim.cl3e import Cl3e
 from epos2_ros.sim.copley import Copley
 from epos2_ros.sim.epos2 import Epos2
 
@@ -53,8 +54,13 @@ def makers(*families: str, **changes: object) -> tuple[AxisConfig, ...]:
     return tuple(replace(axis, drive=drive) for axis, drive in zip(plain, families, strict=True))
 
 
-def drive_of(axis: AxisConfig, **settings: object) -> Epos2 | Copley:
-    """The simulated drive of an axis that follows records."""
+def drive_of(axis: AxisConfig, **settings: object) -> Epos2 | Copley | Cl3e:
+    """The simulated drive of an axis; it has been there for a while."""
+    if axis.drive == "cl3e":
+        settings.pop("offset_us", None)  # it has no clock that could be read
+        drive = Cl3e(axis.node_id, boot_ms=0.0, **settings)  # type: ignore[arg-type]
+        drive.dictionary[0x608F, 1].preset(axis.counts_per_turn)
+        return drive
     kind = Copley if axis.drive == "copley" else Epos2
     return kind(axis.node_id, **settings)  # type: ignore[arg-type]
 
@@ -73,7 +79,7 @@ class Bench:
     def __init__(
         self,
         config: DriverConfig | None = None,
-        drives: Sequence[Epos2 | Copley] | None = None,
+        drives: Sequence[Epos2 | Copley | Cl3e] | None = None,
         bring_up: bool = True,
         host_queue: int | None = None,
         bus: SimulatedBus | None = None,
@@ -155,7 +161,8 @@ class Bench:
         """Of one drive, also again."""
         node = self.nodes[index]
         node.node.sdo.RESPONSE_TIMEOUT = self.sdo_patience_s
-        self.group.reconfigured(self.machine.drives[index], node.configure(), self.now_us)
+        statusword = node.configure()
+        self.group.reconfigured(self.machine.drives[index], statusword, self.now_us, node.units)
 
     def wait(self, answer: Future[None], seconds: float = 60.0) -> None:
         """Run until the answer is there, and raise what it raises."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from epos2_ros.bus.cia402_node import Cia402Node
@@ -20,7 +21,7 @@ ACCELERATION_HEADROOM = 1.25  # of the drive's own limits over those of the conf
 
 @dataclass(frozen=True)
 class Cl3eSettings:
-    """What is written to a drive, in counts, rpm and rpm/s; None leaves the drive's value."""
+    """What is written to a drive, in counts; None leaves the drive's value."""
 
     joint: str
     node_id: int
@@ -28,38 +29,38 @@ class Cl3eSettings:
     min_position_qc: int
     max_position_qc: int
     max_following_error_qc: int
-    max_acceleration_rpm_s: int | None = None  # 0x60C5, 0x60C6
-    stop_deceleration_rpm_s: int | None = None  # 0x6085
+    max_acceleration_qc_s2: float | None = None  # 0x60C5, 0x60C6
+    stop_deceleration_qc_s2: float | None = None  # 0x6085
     homes: bool = False
 
     @classmethod
     def of(cls, axis: AxisConfig) -> Cl3eSettings:
         """From the configuration in joint units."""
         units = AxisUnits.of(axis)
-        rpm = axis.counts_per_turn / 60  # also rpm/s
+        velocity, acceleration, jerk = cl3e.fine_units(axis.counts_per_turn)
 
-        def whole(parameter: str, unit: str, headroom: float = 1.0) -> int | None:
+        def held(parameter: str, unit: str, fine: float, headroom: float = 1.0) -> float | None:
             value = getattr(axis, parameter)
             if value is None:
                 return None
-            most = abs(units.from_qc_s(UINT32_MAX * rpm)) / headroom
+            most = abs(units.from_qc_s(UINT32_MAX * fine)) / headroom
             if value > most:
                 raise ConfigurationError(
                     f"axes.{axis.joint}.{parameter}: {value:g} {units.unit}{unit} is more than the "
                     f"drive can hold ({most:g} {units.unit}{unit})"
                 )
-            return max(1, math.ceil(abs(units.to_qc_s(value)) * headroom / rpm))
+            return abs(units.to_qc_s(value)) * headroom
 
-        whole("max_velocity", "/s")
-        whole("max_jerk", "/s³", MOST_JERK)
+        held("max_velocity", "/s", velocity)
+        held("max_jerk", "/s³", jerk, MOST_JERK)
         return cls(
             axis.joint,
             axis.node_id,
             axis.counts_per_turn,
             *position_limits(axis, margin_qc=1),
             axis.max_following_error,
-            whole("max_acceleration", "/s²", ACCELERATION_HEADROOM),
-            whole("stop_deceleration", "/s²"),
+            held("max_acceleration", "/s²", acceleration, ACCELERATION_HEADROOM),
+            held("stop_deceleration", "/s²", acceleration),
             axis.homing is not None and bool(axis.homing.method),
         )
 
@@ -69,6 +70,7 @@ class Cl3eNode:
 
     def __init__(self, network: Network, settings: Cl3eSettings) -> None:
         self.settings = settings
+        self.units: tuple[float, float, float] | None = None
         self._access = Cia402Node(network, cl3e.FAMILY, settings.joint, settings.node_id)
         self._objects = self._access.objects
         self.node = self._access.node
@@ -88,8 +90,14 @@ class Cl3eNode:
     def _write_objects(self) -> None:
         s, write = self.settings, self._objects.write
         self._check_units()
+        self.units = self._set_units()
         self._access.watch_host()
         write(epos2.MODES_OF_OPERATION, cl3e.MODE_PROFILE_POSITION)
+        unit = self.units[1]
+        most, stop = (
+            None if value is None else max(1, math.ceil(value / unit))
+            for value in (s.max_acceleration_qc_s2, s.stop_deceleration_qc_s2)
+        )
         for index, subindex, value, parameters in (
             (cl3e.QUICK_STOP_OPTION, 0, cl3e.STAY_IN_QUICK_STOP, ()),
             (cl3e.FOLLOWING_ERROR_OPTION, 0, cl3e.FAULT_BY_QUICK_STOP_RAMP, ()),
@@ -97,15 +105,14 @@ class Cl3eNode:
             (cl3e.END_VELOCITY, 0, 0, ()),
             (epos2.SOFTWARE_POSITION_LIMIT, 1, s.min_position_qc, ("min_position",)),
             (epos2.SOFTWARE_POSITION_LIMIT, 2, s.max_position_qc, ("max_position",)),
-            (epos2.MAX_ACCELERATION, 0, s.max_acceleration_rpm_s, ("max_acceleration",)),
-            (cl3e.MAX_DECELERATION, 0, s.max_acceleration_rpm_s, ("max_acceleration",)),
-            (epos2.QUICK_STOP_DECELERATION, 0, s.stop_deceleration_rpm_s, ("stop_deceleration",)),
+            (epos2.MAX_ACCELERATION, 0, most, ("max_acceleration",)),
+            (cl3e.MAX_DECELERATION, 0, most, ("max_acceleration",)),
+            (epos2.QUICK_STOP_DECELERATION, 0, stop, ("stop_deceleration",)),
+            (cl3e.HALT_OPTION, 0, cl3e.HALT_BY_QUICK_STOP_RAMP, ()),
         ):
             if value is not None:
                 names = " and ".join(f"axes.{s.joint}.{name}" for name in parameters)
                 write(index, value, subindex, check=f"check {names}" if names else "")
-        if s.stop_deceleration_rpm_s is not None:
-            write(cl3e.HALT_OPTION, cl3e.HALT_BY_QUICK_STOP_RAMP)
         if self._objects.find(cl3e.POSITIONING_OPTION) is not None:
             write(cl3e.POSITIONING_OPTION, cl3e.NO_RELEASE)
         if s.homes and not self._objects.read(cl3e.SUBMODE) & 1:
@@ -115,7 +122,7 @@ class Cl3eNode:
         self._await_mode()
 
     def _check_units(self) -> None:
-        """rpm, rpm/s and the encoder's counts: what the drive's own objects have to say.
+        """What the drive's own objects have to say of positions, and newer firmware of velocities.
 
         Older firmware has fractions (0x2061 … 0x2066), newer has 0x60A8 and 0x60A9 in their place.
         READING: the position of older firmware is in increments of 0x608F where gear ratio and feed
@@ -126,9 +133,6 @@ class Cl3eNode:
             name = f"{self._objects.name(index, 1)} / -02"
             self._expect(name, (read(index, 1), read(index, 2)), (1, 1))
         if self._objects.find(cl3e.UNIT_VELOCITY) is None:
-            for index in (cl3e.VELOCITY_UNIT, cl3e.ACCELERATION_UNIT, cl3e.JERK_UNIT):
-                name = f"{self._objects.name(index)} / 0x{index + 1:04X}"
-                self._expect(name, (read(index), read(index + 1)), cl3e.RPM_FRACTION)
             index = cl3e.ENCODER_RESOLUTION
             increments, turns = read(index, 1), read(index, 2)
             name = f"{self._objects.name(index, 1)} / -02"
@@ -143,7 +147,7 @@ class Cl3eNode:
                         f"{self._access} has 0x{unit:08X} in {self._objects.name(index)}; the "
                         f"driver takes 0x{wanted:08X} only, its preset: set it and store it"
                     )
-            increments, turns = 3600, 1
+            increments, turns = cl3e.TENTHS_PER_TURN, 1
             name = self._objects.name(cl3e.UNIT_POSITION)
         if increments != self.settings.counts_per_turn * turns:
             raise DriveError(
@@ -153,12 +157,46 @@ class Cl3eNode:
                 "drive's"
             )
 
+    def _set_units(self) -> tuple[float, float, float]:
+        """0.01 rpm and 0.01 rpm/s where they can be set: a path needs finer ones than whole rpm.
+
+        What the drive holds in these units is converted with them, so that it stays as fast as it
+        was. A host that fails amid that leaves a fraction that no drive has, and that is refused.
+        """
+        counts = self.settings.counts_per_turn
+        if self._objects.find(cl3e.UNIT_VELOCITY) is not None:
+            return cl3e.preset_units(counts)
+        name = f"{self._objects.name(cl3e.JERK_UNIT)} / 0x{cl3e.JERK_UNIT + 1:04X}"
+        self._expect(name, self._fraction(cl3e.JERK_UNIT), cl3e.RPM_FRACTION)
+        self._make_finer(cl3e.VELOCITY_UNIT, cl3e.VELOCITIES)
+        self._make_finer(cl3e.ACCELERATION_UNIT, cl3e.ACCELERATIONS)
+        return cl3e.fine_units(counts)
+
+    def _fraction(self, index: int) -> tuple[int, int]:
+        return self._objects.read(index), self._objects.read(index + 1)
+
+    def _make_finer(self, index: int, values: Sequence[tuple[int, int]]) -> None:
+        read, write = self._objects.read, self._objects.write
+        numerator, denominator = cl3e.FINE_FRACTION
+        found = self._fraction(index)
+        if found == cl3e.FINE_FRACTION:
+            return
+        name = f"{self._objects.name(index)} / 0x{index + 1:04X}"
+        self._expect(name, found, cl3e.RPM_FRACTION)
+        finer = denominator // cl3e.RPM_FRACTION[1]
+        write(index, cl3e.HALF_WAY)
+        for key in values:
+            write(key[0], min(read(*key) * finer, UINT32_MAX), key[1])
+        write(index + 1, denominator)
+        write(index, numerator)
+
     def _expect(self, name: str, found: tuple[int, int], wanted: tuple[int, int]) -> None:
         """Two fractions are the same."""
         if found[0] * wanted[1] != found[1] * wanted[0] or 0 in found:
             raise DriveError(
                 f"{self._access} has {found[0]}/{found[1]} in {name}; the driver takes "
-                f"{wanted[0]}/{wanted[1]} only, its preset: set it and store it"
+                f"{wanted[0]}/{wanted[1]} only, its preset: set it and store it, or switch the "
+                "drive off and on"
             )
 
     def _await_mode(self) -> None:

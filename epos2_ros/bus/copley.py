@@ -64,6 +64,7 @@ class CopleyNode:
 
     def __init__(self, network: Network, settings: CopleySettings) -> None:
         self.settings = settings
+        self.units: tuple[float, float, float] | None = None
         family, master = copley.FAMILY, settings.clock_master
         if master is not None:
             rpdos = epos2.clock_slave_rpdo_mappings(copley.RPDO_MAPPINGS, master)

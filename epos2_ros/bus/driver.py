@@ -254,9 +254,12 @@ class Driver:
     def _bring_up_drive(self, drive: Drive) -> Identity:
         if self._closing:
             raise BusError("the bus is being closed")
-        statusword = self._nodes[drive].configure()
+        node = self._nodes[drive]
+        statusword = node.configure()
         identity = self._identify(drive)
-        self._reactor.call(lambda: self._group.reconfigured(drive, statusword, now_us()))
+        self._reactor.call(
+            lambda: self._group.reconfigured(drive, statusword, now_us(), node.units)
+        )
         self._outputs.arm(drive.joint)
         return identity
 

@@ -52,6 +52,7 @@ class Epos2Node:
 
     def __init__(self, network: Network, settings: Epos2Settings) -> None:
         self.settings = settings
+        self.units: tuple[float, float, float] | None = None
         self._access = Cia402Node(network, family_of(settings), settings.joint, settings.node_id)
         self._objects = self._access.objects
         self.node = self._access.node

@@ -20,6 +20,8 @@ class DriveNode(Protocol):
     """SDO access to one drive. DriveError: which step failed, why, and what to check."""
 
     node: RemoteNode
+    # Of velocity, acceleration and jerk, once it was configured [qc/s] …; None: its family's.
+    units: tuple[float, float, float] | None
 
     def configure(self) -> int:
         """Check identity, configure, go operational; the statusword the drive then has."""

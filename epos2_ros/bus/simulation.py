@@ -5,6 +5,7 @@ from __future__ import annotations
 from epos2_ros.bus.link import open_bus
 from epos2_ros.configuration.driver import DriverConfig
 from epos2_ros.protocol import cl3e, copley, epos2
+from epos2_ros.sim.cl3e import Cl3e
 from epos2_ros.sim.copley import Copley
 from epos2_ros.sim.epos2 import Dictionary, Epos2
 from epos2_ros.sim.realtime import (
@@ -24,7 +25,7 @@ class Simulation:
         copleys = [axis for axis in config.axes if axis.drive == copley.FAMILY.key]
         cl3es = [axis for axis in config.axes if axis.drive == cl3e.FAMILY.key]
         self._log = config.simulation.log
-        self._drives: list[Epos2 | Copley] = []
+        self._drives: list[Epos2 | Copley | Cl3e] = []
         self._drives += build_drives(
             [axis.node_id for axis in epos2s],
             counts_per_turn=[axis.counts_per_turn for axis in epos2s],
@@ -42,14 +43,15 @@ class Simulation:
             record=self._log is not None,
             extrapolated=[axis.node_id for axis in copleys if axis.joint in sampled],
         )
-        beside = build_cl3e_drives(
+        self._drives += build_cl3e_drives(
             [axis.node_id for axis in cl3es],
             counts_per_turn=[axis.counts_per_turn for axis in cl3es],
             drift_ppm=config.simulation.drift_ppm,
             seed=config.simulation.seed,
+            record=self._log is not None,
         )
         self._bus = open_bus(config.interface, config.channel, config.bitrate, echoes=False)
-        self._simulator = RealtimeSimulator(self._bus, [*self._drives, *beside])
+        self._simulator = RealtimeSimulator(self._bus, self._drives)
         self._simulator.start()
 
     def push(self, node_id: int, counts: float) -> bool:

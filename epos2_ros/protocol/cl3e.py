@@ -5,20 +5,22 @@ chapter "Profile Position", and CiA 402.
 
 | PDO   | COB-ID | transmission      | objects                                      |
 |-------|--------|-------------------|----------------------------------------------|
+| RPDO1 | 200+id | asynchronous (255)| target position, profile velocity            |
 | RPDO2 | 300+id | synchronous (1)   | controlword: takes effect at the next SYNC   |
+| RPDO3 | 400+id | asynchronous (255)| profile acceleration, profile deceleration   |
 | RPDO4 | 500+id | asynchronous (255)| controlword: takes effect at once            |
 | TPDO1 | 180+id | event             | statusword                                   |
 | TPDO2 | 280+id | synchronous (1)   | position actual, velocity actual             |
 | TPDO3 | 380+id | synchronous (1)   | statusword, position demand                  |
 
-The numbers are those of the EPOS2's PDOs with the same content. RPDO1, RPDO3 and TPDO4 are valid
-as the drive leaves the factory and are switched off: RPDO1 has the motor drive submode (0x3202)
-mapped, where a frame of zeros selects open loop.
+The numbers are those of the EPOS2's PDOs with the same content, or the same purpose: RPDO1 brings
+what the next piece of a path is made of. As the drive leaves the factory RPDO1 has the motor drive
+submode (0x3202) mapped, where a frame of zeros selects open loop; so it is mapped anew before the
+drive listens. TPDO4 is valid then, too, and is switched off.
 """
 
 from __future__ import annotations
 
-from epos2_ros.motion.units import AxisUnits
 from epos2_ros.protocol import epos2, homing_methods
 from epos2_ros.protocol.family import Family, Field
 from epos2_ros.protocol.pdo import ASYNCHRONOUS, SYNCHRONOUS, PdoMapping
@@ -48,20 +50,51 @@ MAX_DECELERATION = 0x60C6
 POSITIONING_OPTION = 0x60F2
 
 TENTH_DEGREES, RPM = 0xFF41_0000, 0x00B4_4700  # in 0x60A8 and 0x60A9, their presets
+TENTHS_PER_TURN = 3600
 RPM_FRACTION = (1, 60)  # in 0x2061 … 0x2066, their presets
+FINE_FRACTION = (1, 6000)  # what the driver sets 0x2061 … 0x2064 to: 0.01 rpm, 0.01 rpm/s
+# What is in the units of 0x2061 and of 0x2063.
+VELOCITIES = (
+    (epos2.PROFILE_VELOCITY, 0),
+    (END_VELOCITY, 0),
+    (epos2.HOMING_SPEEDS, 1),
+    (epos2.HOMING_SPEEDS, 2),
+)
+ACCELERATIONS = (
+    (epos2.PROFILE_ACCELERATION, 0),
+    (epos2.PROFILE_DECELERATION, 0),
+    (epos2.QUICK_STOP_DECELERATION, 0),
+    (epos2.HOMING_ACCELERATION, 0),
+    (epos2.MAX_ACCELERATION, 0),
+    (MAX_DECELERATION, 0),
+)
+HALF_WAY = 3  # a numerator that no unit has: the drive's values are being converted
 STAY_IN_QUICK_STOP = 6  # brakes by 0x6085
 HALT_BY_QUICK_STOP_RAMP = 2
 FAULT_BY_QUICK_STOP_RAMP = 2
 NO_RELEASE = 0x0001  # bit 4 is the host's; relative moves count from the demand
 
 
-def motion_units(units: AxisUnits) -> tuple[float, float, float]:
-    """rpm, rpm/s and rpm/s² of the motor: what the drive's units are preset to, and have to be.
+def preset_units(counts_per_turn: int) -> tuple[float, float, float]:
+    """rpm, rpm/s and rpm/s² of the motor: what newer firmware has, whose units are not changed.
 
-    READING: newer firmware, which has no object for the unit of jerk, has it in rpm/s² as well.
+    READING: such firmware, which has no object for the unit of jerk, has it in rpm/s² as well.
     """
-    rpm = units.counts_per_turn / 60
+    rpm = counts_per_turn / 60
     return rpm, rpm, rpm
+
+
+def fine_units(counts_per_turn: int) -> tuple[float, float, float]:
+    """What the driver sets the units to where there are fractions; that of jerk stays."""
+    numerator, denominator = FINE_FRACTION
+    fine = counts_per_turn * numerator / denominator
+    return fine, fine, counts_per_turn / 60
+
+
+def likely_units(counts_per_turn: int) -> tuple[float, float, float]:
+    """Of a drive that was not asked: newer firmware counts tenths of a degree, and only that."""
+    newer = counts_per_turn == TENTHS_PER_TURN
+    return preset_units(counts_per_turn) if newer else fine_units(counts_per_turn)
 
 
 FAMILY = Family(
@@ -71,7 +104,16 @@ FAMILY = Family(
     vendor_id=VENDOR_ID,
     eds="cl3e.eds",
     rpdos=(
+        PdoMapping(
+            1, epos2.RPDO1, ASYNCHRONOUS, ((epos2.TARGET_POSITION, 0), (epos2.PROFILE_VELOCITY, 0))
+        ),
         PdoMapping(2, epos2.RPDO2, SYNCHRONOUS, ((epos2.CONTROLWORD, 0),)),
+        PdoMapping(
+            3,
+            epos2.RPDO3,
+            ASYNCHRONOUS,
+            ((epos2.PROFILE_ACCELERATION, 0), (epos2.PROFILE_DECELERATION, 0)),
+        ),
         PdoMapping(4, epos2.RPDO4, ASYNCHRONOUS, ((epos2.CONTROLWORD, 0),)),
     ),
     tpdos=(
@@ -100,7 +142,7 @@ FAMILY = Family(
         0x8611: "following error",
     },  # CiA 301, 7.2.7.1, and CiA 402
     rest_operation=MODE_PROFILE_POSITION,
-    motion_units=motion_units,
+    motion_units=lambda units: likely_units(units.counts_per_turn),  # until it has said
     jerk_objects=tuple((PROFILE_JERK, subindex) for subindex in range(1, 5)),
     home_objects=homing_methods.shifted_zero,
     homing_methods=homing_methods.STANDARD,

@@ -140,8 +140,10 @@ class Group:
             self._rest[drive].on_echo(drive, frame.data, t_us)
         elif function == epos2.RPDO2:
             self._words.on_echo(drive.node_id)
-        elif function == epos2.RPDO3:
+        elif function == epos2.RPDO3 and drive in self._clocked:
             self.time.on_stamp(self._clocked[drive])
+        elif function == epos2.RPDO3:
+            self._rest[drive].on_echo(drive, frame.data, t_us)
         elif function == epos2.SDO_REQUEST and frame.data == epos2.CLOCK_AT_SYNC.request:
             drive.asked_clock = True
             if drive in self._clocked:
@@ -373,8 +375,20 @@ class Group:
         """The motion in progress goes on to another end; its mode knows the way."""
         self._end = end
 
-    def reconfigured(self, drive: Drive, statusword: int, now_us: float) -> None:
-        """A drive was brought up anew and answers with `statusword`."""
+    def reconfigured(
+        self,
+        drive: Drive,
+        statusword: int,
+        now_us: float,
+        units: Sequence[float] | None = None,
+    ) -> None:
+        """A drive was brought up anew and answers with `statusword`.
+
+        `units` of its motion objects, as it has said: velocity [qc/s], acceleration [qc/s²] and
+        jerk [qc/s³]; None: those of its family.
+        """
+        if units is not None:
+            drive.velocity_unit, drive.acceleration_unit, drive.jerk_unit = units
         if self._watch.may_have_restarted(drive):
             drive.homed = ""
         if statusword & drive.family.referenced_bit:
@@ -777,7 +791,8 @@ class Group:
     def _begun(self, t_us: float) -> None:
         """The start SYNC was on the bus."""
         self._moved = True
-        self._held.clear()  # the start has released them
+        for drive in self._taking_part:
+            self._held.pop(drive, None)  # the start has released it
         for mode in self.modes:
             mode.started(t_us)
         actions, self._when_started = self._when_started, []

@@ -63,11 +63,13 @@ class Machine:
         self.movers = tuple(axis for axis in config.axes if axis not in followers)
         self.profile = Profile(self.drives, self.out)
         self.homing = Homing(self.drives, self.out)
-        self._searches = {
-            drive: _search(axis, drive)
+        self._homed = {
+            drive: axis
             for drive, axis in zip(self.drives, config.axes, strict=True)
             if axis.homing is not None and axis.homing.method
         }
+        for drive, axis in self._homed.items():
+            _search(axis, drive)  # what can't be is said before anything else
         rest: dict[Drive, Mode] = {
             drive: self.interpolated if drive in self.interpolated.drives else self.profile
             for drive in self.drives
@@ -127,7 +129,7 @@ class Machine:
         """The drives that are to be homed, those of the lowest order first."""
         orders: dict[int, list[Drive]] = {}
         for drive, axis in zip(self.drives, self.config.axes, strict=True):
-            if axis.homing is not None and drive in self._searches:
+            if axis.homing is not None and drive in self._homed:
                 orders.setdefault(axis.homing.order, []).append(drive)
         return [orders[order] for order in sorted(orders)]
 
@@ -136,7 +138,7 @@ class Machine:
 
         TrajectoryError when they don't stand.
         """
-        searches = {self.drives[place]: self._searches[self.drives[place]] for place in places}
+        searches = self._searches(places)
         self.homing.plan(searches)
         for drive, search in searches.items():
             self.out.announce("homing", f"{drive}: homing by {search.words} ({search.number})")
@@ -144,8 +146,12 @@ class Machine:
 
     def home_limit_s(self, places: Sequence[int]) -> float:
         """How long `home` may take; what is longer ends in a fault."""
+        return self.homing.time_limit_s(self._searches(places))
+
+    def _searches(self, places: Sequence[int]) -> dict[Drive, Search]:
+        """In the units that the drives have now."""
         drives = [self.drives[place] for place in places]
-        return self.homing.time_limit_s({drive: self._searches[drive] for drive in drives})
+        return {drive: _search(self._homed[drive], drive) for drive in drives}
 
     def _begin(self, mode: Mode) -> Future[End]:
         self.group.begin([mode])

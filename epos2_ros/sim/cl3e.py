@@ -34,6 +34,7 @@ from .dictionary import (
 from .homing import ACTUAL_POSITION, Search, Switches, plan
 from .motor import Motor
 from .ramps import Limits
+from .recorder import Recorder
 from .slave import HEARTBEAT, HEARTBEAT_ERROR, INF, SYNC_PRODUCER, Identity, Slave
 
 NANOTEC = 0x0000_026C
@@ -132,6 +133,8 @@ class Cl3e(Slave):
     firmware:   which edition
     switches:   of the machine, for homing
     drift_ppm:  of its clock against true time
+    record:     keep what it makes of set-points, for `executed`; one that is to be carried out
+                immediately (bit 5) begins a motion
     """
 
     def __init__(
@@ -144,6 +147,7 @@ class Cl3e(Slave):
         firmware: Firmware = Firmware.V1446,
         switches: Switches | None = None,
         drift_ppm: float = 0.0,
+        record: bool = False,
         serial: int = 1,
         t_us: float = 0.0,
         boot_ms: float = BOOT_MS,
@@ -169,6 +173,8 @@ class Cl3e(Slave):
         self.started_us = t_us  # when the last profile began
         self.arrived_us = -math.inf  # when the demand was last at a target
         self._alarm_us = INF
+        self.recorder = Recorder() if record else None
+        self._motion_us = t_us  # when the motion that is recorded began
         super().__init__(node_id, identity, t_us, boot_ms)
         self.outbox.appendleft((HEARTBEAT + node_id, bytes(1)))  # the boot loader's
         self.rate = 1.0 + drift_ppm * 1e-6
@@ -208,6 +214,12 @@ class Cl3e(Slave):
             if self._homing_error:
                 word |= Status.HOMING_ERROR
         return word
+
+    def executed(self) -> list[tuple[int, float]]:
+        """(ms since its motion began, position demand) in each cycle of it that moved something."""
+        if self.recorder is None:
+            raise ValueError(f"node {self.node_id} was not told to record")
+        return self.recorder.executed()
 
     def fail(self, code: int) -> None:
         """Something in the drive breaks: emergency `code` and fault reaction."""
@@ -559,6 +571,9 @@ class Cl3e(Slave):
         if not self._possible(order):
             return
         self._acknowledged = True
+        if self.recorder is not None and word & Control.CHANGE_IMMEDIATELY:
+            self._motion_us = self.now_us
+            self.recorder.begin()
         if not self._moving or word & Control.CHANGE_IMMEDIATELY:
             self._begin(order)
             return
@@ -745,6 +760,11 @@ class Cl3e(Slave):
         else:  # open loop: no encoder, what is told is what is done
             self._motor.stand(self._demand.position)
             self._motor.velocity = self._demand.velocity
+        if self.recorder is not None and self._mode == PROFILE_POSITION:
+            since_ms = round((self.now_us - self._motion_us) * self.rate / 1000)
+            level = (self._active is not None and self._moving) + (self._next is not None)
+            demand, actual = self._sign * self._demand.position, float(self.position_actual)
+            self.recorder.add(self.now_us, since_ms, demand, actual, level)
         lag = abs(self._demand.position - self._motor.position)
         self._watch(lag)
         if self._homing:

@@ -216,6 +216,7 @@ def main(argv: list[str] | None = None) -> int:
         arguments.cl3e,
         counts_per_turn=arguments.counts_per_turn,
         drift_ppm=arguments.drift_ppm,
+        record=arguments.log is not None,
     )
     observed = {} if log is None else {"on_frame": log.frame}
     simulator = RealtimeSimulator(bus, [*drives, *copley, *cl3e], **observed)
@@ -232,7 +233,7 @@ def main(argv: list[str] | None = None) -> int:
     if log is not None:
         log.close()
     if arguments.log is not None:
-        save_log(arguments.log, [*drives, *copley])
+        save_log(arguments.log, [*drives, *copley, *cl3e])
     return 0
 
 

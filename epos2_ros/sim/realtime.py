@@ -114,6 +114,7 @@ def build_cl3e_drives(
     counts_per_turn: int | Sequence[int] = 2000,
     drift_ppm: float = 0.0,
     seed: int = 0,
+    record: bool = False,
 ) -> list[Cl3e]:
     """Likewise; what the drives' encoders count is stored in them."""
     rng = random.Random(f"cl3e {seed}")
@@ -124,6 +125,7 @@ def build_cl3e_drives(
             node_id,
             counts_per_turn=counts,
             drift_ppm=rng.uniform(-drift_ppm, drift_ppm),
+            record=record,
             serial=node_id,
             t_us=now_us(),
         )
@@ -131,7 +133,7 @@ def build_cl3e_drives(
     ]
 
 
-def save_log(path: str | Path, drives: Sequence[Epos2 | Copley]) -> None:
+def save_log(path: str | Path, drives: Sequence[Epos2 | Copley | Cl3e]) -> None:
     """Writes what recording drives have executed as `node_<id>_<column>` into an .npz file."""
     save(path, [(drive.node_id, drive.recorder) for drive in drives if drive.recorder])
 

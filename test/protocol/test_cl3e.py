@@ -51,9 +51,15 @@ def test_bring_up_with_every_edition(firmware: Firmware) -> None:
     assert od[0x3202, 0].value == 0
     assert (od[0x6060, 0].value, drive._mode) == (1, 1)
     assert od[0x6082, 0].value == 0 and od[0x605A, 0].value == 6
-    assert od[0x60C6, 0].value >= 4.0 * 100 / (2 * 3.14159265) * 60  # rpm/s
-    valid = {n for n in range(4) if not od[0x1400 + n, 1].value >> 31}
-    assert valid == {1, 3}  # RPDO1, which could select open loop, is off before the start
+    per_rpm = 1 if firmware is Firmware.V1738 else 100
+    assert od[0x60C6, 0].value >= 4.0 * 100 / (2 * 3.14159265) * 60 * per_rpm  # [0.01] rpm/s
+    mapped = {
+        od[0x1600 + n, place].value >> 16
+        for n in range(4)
+        if not od[0x1400 + n, 1].value >> 31
+        for place in range(1, od[0x1600 + n, 0].value + 1)
+    }
+    assert mapped == {0x6040, 0x607A, 0x6081, 0x6083, 0x6084}  # 0x3202 could select open loop
     made.enable()
     made.wait(made.machine.move_to({"z_1": 0.5}))
     assert drive.position_actual == round(0.5 * counts * 100 / (2 * 3.14159265358979))
@@ -79,6 +85,58 @@ def test_equal_fractions_are_equal() -> None:
     drive = Cl3e(1)
     drive.dictionary[0x2061, 0].value, drive.dictionary[0x2062, 0].value = 2, 120
     bench(drive)
+
+
+def ramps_of(drive: Cl3e) -> dict[tuple[int, int], float]:
+    """What the drive holds of velocities and accelerations, in turns and seconds."""
+    od = drive.dictionary
+    return {
+        (index, subindex): od[index, subindex].value * od[unit, 0].value / od[unit + 1, 0].value
+        for unit, keys in (
+            (0x2061, ((0x6081, 0), (0x6099, 1), (0x6099, 2))),
+            (0x2063, ((0x6083, 0), (0x6084, 0), (0x6085, 0), (0x609A, 0), (0x60C6, 0))),
+        )
+        for index, subindex in keys
+    }
+
+
+def test_a_drive_is_as_fast_as_it_was_in_finer_units() -> None:
+    """Also when it is brought up again, and in a host that fails amid that it is refused."""
+    drive = Cl3e(1)
+    drive.dictionary[0x6085, 0].value = 777
+    before = ramps_of(drive)
+    for _ in range(2):
+        bench(drive, max_acceleration=None)
+        assert ramps_of(drive) == pytest.approx(before)
+        assert drive.dictionary[0x2062, 0].value == drive.dictionary[0x2064, 0].value == 6000
+
+
+def test_units_that_a_host_has_left_half_way_are_refused() -> None:
+    whole = bench(Cl3e(1))
+    writes = [
+        frame.data
+        for _, frame, echo in whole.frames
+        if echo and frame.can_id == 0x601 and frame.data[0] & 0xE0 == 0x20
+    ]
+    first = next(n for n, data in enumerate(writes) if data[1:3] == b"\x61\x20")
+    last = max(n for n, data in enumerate(writes) if data[1:3] == b"\x63\x20")
+    before = ramps_of(Cl3e(1))
+    refused = 0
+    for count in range(first, last + 2):
+        drive = Cl3e(1)
+        od = drive.dictionary
+        for data in writes[first:count]:
+            index, size = int.from_bytes(data[1:3], "little"), 4 - (data[0] >> 2 & 3)
+            od[index, data[3]].value = int.from_bytes(data[4 : 4 + size], "little")
+        try:
+            bench(drive, max_acceleration=None)
+        except DriveError as error:
+            assert "/60 in" in str(error) or "/6000 in" in str(error)
+            assert "switch the drive off and on" in str(error)
+            refused += 1
+        else:
+            assert ramps_of(drive) == pytest.approx(before)
+    assert refused == last - first - 1  # all but before, between the two, and after
 
 
 @pytest.mark.parametrize("parameter", ["max_velocity", "max_acceleration", "stop_deceleration"])

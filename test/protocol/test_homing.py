@@ -356,6 +356,9 @@ def read(drive: Epos2 | Copley | Cl3e, index: int) -> int:
     return int.from_bytes(drive.dictionary[index, 0].pack(), "little", signed=True)
 
 
+UNITS = {"epos2": 2000 / 60, "copley": 0.1, "cl3e": 2000 / 6000}  # of velocity [counts/s]
+
+
 @pytest.mark.parametrize("duration_s", [0.0, 1.37])
 def test_axes_of_all_families_leave_on_one_sync_and_arrive_within_a_millisecond(duration_s):
     epos2s = axes(3, **LIMITS)
@@ -380,7 +383,7 @@ def test_axes_of_all_families_leave_on_one_sync_and_arrive_within_a_millisecond(
     for axis, drive in zip(config.axes, drives, strict=True):
         # What it was told: its way at this velocity [qc/s] and acceleration [qc/s²].
         way, v, a = (read(drive, index) for index in (0x607A, 0x6081, 0x6083))
-        v, a = (v * 0.1, a * 10) if axis.drive == "copley" else (v * 2000 / 60, a * 2000 / 60)
+        v, a = v * UNITS[axis.drive], a * (10 if axis.drive == "copley" else UNITS[axis.drive])
         assert way == round(targets[axis.joint] * QC_PER_RAD)
         peak = min(v, math.sqrt(abs(way) * a))
         lasted.append(abs(way) / peak + peak / a)
