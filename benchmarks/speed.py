@@ -21,6 +21,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from epos2_ros.bus.settings import machine_of
 from epos2_ros.configuration.driver import DriverConfig
+from epos2_ros.motion import knots
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.node.serialized import read_trajectory
 from epos2_ros.protocol.phase import Phase
@@ -121,6 +122,7 @@ def latency(points: int) -> Row:
         for drive, start_qc in zip(machine.drives, case.start_qc, strict=True):
             drive.demand_qc = start_qc
         machine.group.phase = Phase.STANDING
+        knots.prepare()
         begun_s = time.perf_counter()
         trajectory = read_trajectory(serialized)
         read_s = time.perf_counter()

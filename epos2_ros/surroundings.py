@@ -43,8 +43,10 @@ def without_log_file() -> tuple[list[str], str]:
 def compiling() -> tuple[bool, str]:
     """Whether fitting will take longer than it has to at every start, and a line about it.
 
-    An empty line: nothing has to be compiled.
+    An empty line: nothing has to be compiled (any more). To be said right before something is.
     """
+    if knots.prepared():
+        return False, ""
     if not knots.COMPILED:
         return True, (
             "Numba is not installed: fitting takes some hundred times longer (Debian, Ubuntu: "

@@ -53,6 +53,7 @@ from epos2_ros.errors import (
     MotionStopped,
     TrajectoryError,
 )
+from epos2_ros.motion import knots
 from epos2_ros.motion.move import refuse_trajectory
 from epos2_ros.motion.reference import Reference
 from epos2_ros.motion.trajectory import Trajectory
@@ -111,6 +112,7 @@ class Driver:
         self._closing = False
         self._doubtful = False  # something of ours has raised: what it knows may be half of it
         self._stops = 0  # how often motions were ended on request, those not yet begun included
+        knots.prepare()  # by the first motion it is too late
         self._machine = machine_of(config)
         self._group, self._path = self._machine.group, self._machine.path
         self._whereabouts = Whereabouts(self._machine)

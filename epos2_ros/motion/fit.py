@@ -92,7 +92,6 @@ class Fitter:
             )
             for axis in axes
         ]
-        knots.prepare()
         self._samples: _Samples | None = None
         self._plans: list[knots.Vector] = []
         self._ended: list[bool] = []
@@ -109,7 +108,11 @@ class Fitter:
             aims[5] = longest
 
     def begin(self, reference: Reference, positions_qc: Sequence[int], at_ms: int = 0) -> None:
-        """A new motion; every axis still rests at `positions_qc` at path time `at_ms`."""
+        """A new motion; every axis still rests at `positions_qc` at path time `at_ms`.
+
+        Waits for `knots.prepare`, if that has not been called before.
+        """
+        knots.prepare()
         self._plans = [knots.plan_from_rest(position, at_ms) for position in positions_qc]
         self._ended = [False for _ in positions_qc]
         self.replace(reference)

@@ -804,6 +804,12 @@ def prepare() -> None:
     advance(still, bends_of(still), 0, 2, aims, plan_from_rest(0.0))
 
 
+def prepared() -> bool:
+    """Whether this process has compiled it, or loaded it."""
+    function: Any = advance
+    return COMPILED and bool(function.signatures)
+
+
 def kept_in() -> pathlib.Path | None:
     """The folder in which what has been compiled is kept (Numba's choice); None: it is not kept."""
     function: Any = advance

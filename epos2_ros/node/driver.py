@@ -189,6 +189,9 @@ class DriverNode(LifecycleNode):
         config = self._declared.config()
         debugging = self.get_logger().is_enabled_for(LoggingSeverity.DEBUG)
         on_trace = self._on_trace if debugging else None
+        slow, line = surroundings.compiling()
+        if line:
+            (self.get_logger().warning if slow else self.get_logger().info)(line)
         driver = self._make_driver(config, self._on_event, self._on_output, on_trace)
         # What is there by now stays: to look through it for garbage would stop all threads of the
         # process for 70 ms now and then, the one that feeds the drives, too. On a busy machine that
@@ -543,9 +546,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     logger = node.get_logger()
     if no_log_file:
         logger.warning(no_log_file)
-    slow, line = surroundings.compiling()
-    if line:
-        (logger.warning if slow else logger.info)(line)
     executor = events_executor()
     executor.add_node(node)
     threading.excepthook = lambda failed: node.broke(

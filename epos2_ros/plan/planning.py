@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -21,6 +21,7 @@ from epos2_ros.bus.nodes import check
 from epos2_ros.bus.settings import machine_of
 from epos2_ros.bus.transmitter import worst_case_bits
 from epos2_ros.configuration.driver import AxisConfig, DriverConfig
+from epos2_ros.motion import knots
 from epos2_ros.motion.crossings import Path
 from epos2_ros.motion.limits import Limits
 from epos2_ros.motion.move import refuse_trajectory
@@ -191,11 +192,16 @@ def standing(trajectory: Trajectory, config: DriverConfig, start: Sequence[float
     ]
 
 
-def make_plan(trajectory: Trajectory, config: DriverConfig, start: Sequence[float]) -> Plan:
+def make_plan(
+    trajectory: Trajectory,
+    config: DriverConfig,
+    start: Sequence[float],
+    before_compiling: Callable[[], object] = lambda: None,
+) -> Plan:
     """What the driver would do with `trajectory` when its joints stand at `start` [unit].
 
     Raises what the driver raises: ConfigurationError for a wrong parameter, TrajectoryError for a
-    trajectory that is refused.
+    trajectory that is refused. `before_compiling` is called when it is not.
     """
     for axis in config.axes:
         check(axis, config)
@@ -211,6 +217,10 @@ def make_plan(trajectory: Trajectory, config: DriverConfig, start: Sequence[floa
     feeder = machine.interpolated.feeder
     begun_s = time.perf_counter()
     reference = machine.path.place(trajectory, None, 0.0).join()
+    joined_s = time.perf_counter()
+    before_compiling()
+    knots.prepare()
+    begun_s += time.perf_counter() - joined_s
     feeder.begin(reference)
     by_node: dict[int, list[Record]] = {axis.node_id: [] for axis in config.axes}
     sent_ms: list[float] = []

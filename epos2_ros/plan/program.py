@@ -27,8 +27,6 @@ DRAWINGS = (".png", ".svg", ".html")
 def main(argv: Sequence[str] | None = None) -> int:
     """Returns 0; or 1 after one line on standard error: refused, or can't be read or written."""
     arguments = _arguments(sys.argv[1:] if argv is None else argv)
-    if line := surroundings.compiling()[1]:
-        print(f"epos2_ros plan: {line}", file=sys.stderr)
     try:
         run(arguments)
     except TrajectoryError as error:
@@ -72,7 +70,7 @@ def _plan(trajectory: Trajectory, name: str, arguments: argparse.Namespace) -> N
     if _moves(trajectory, config):
         _plan_move(trajectory, name, source, config, arguments)
         return
-    plan = make_plan(trajectory, config, _start(trajectory, arguments))
+    plan = make_plan(trajectory, config, _start(trajectory, arguments), _say_what_is_compiled)
     where = "point 0 is" if arguments.start is None else "--start says"
     if first_s := float(trajectory.times_s[0]):
         where += (
@@ -101,6 +99,11 @@ def _plan(trajectory: Trajectory, name: str, arguments: argparse.Namespace) -> N
             arguments.output.write_text(page, encoding="utf-8")
         else:
             plot.save(plan, name, arguments.output)
+
+
+def _say_what_is_compiled() -> None:
+    if line := surroundings.compiling()[1]:
+        print(f"epos2_ros plan: {line}", file=sys.stderr)
 
 
 def _moves(trajectory: Trajectory, config: DriverConfig) -> bool:

@@ -31,7 +31,7 @@ from shipped import PARAMETER_FILES
 from simulated_time import Bench
 from trajectories import EXAMPLES, NAMES, example, example_message
 
-from epos2_ros import plan
+from epos2_ros import plan, surroundings
 from epos2_ros.bus.transmitter import worst_case_bits
 from epos2_ros.configuration.driver import AxisConfig
 from epos2_ros.configuration.files import read_parameters
@@ -376,6 +376,17 @@ def test_it_refuses_with_the_drivers_words(change, command, tmp_path):
     (tmp_path / "spoilt.yaml").write_text(yaml.safe_dump(spoilt))
     ended = command("spoilt.yaml", "--params", params)
     assert ended == Ended(1, "", f"epos2_ros plan: trajectory refused: {refusal.value}\n")
+
+
+def test_what_has_to_be_compiled_is_said_when_it_is(command, monkeypatch):
+    """Not when the trajectory is refused; of several ones, only with the first that is not."""
+    said = iter(["compiling"])
+    monkeypatch.setattr(surroundings, "compiling", lambda: (False, next(said, "")))
+    for refused in ("{", message(joint_names=["a", "a"]), message(points=[])):
+        assert "compiling" not in command("-", stdin=refused).err
+    assert "compiling" not in command("-", "--start", "0.2", "1.0", stdin=message()).err
+    ended = command("-", stdin="---\n".join([message()] * 2))
+    assert (ended.status, ended.err) == (0, "epos2_ros plan: compiling\n")
 
 
 def test_a_message_of_moveit_servo_is_followed_to_its_last_point(command):
