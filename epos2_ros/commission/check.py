@@ -91,7 +91,8 @@ def run(arguments: argparse.Namespace, talk: Dialogue) -> int:
         except (KeyboardInterrupt, Epos2RosError):
             _stop(driver, talk)
             raise
-    talk.say(f"\n{axis.joint} is as it should be")
+    skipped = f", but for what was skipped: {', '.join(first.skipped)}" if first.skipped else ""
+    talk.say(f"\n{axis.joint} is as it should be{skipped}")
     return 0
 
 

@@ -64,6 +64,7 @@ class FirstMotion:
         self._settle_s = settle_s
         self._units = AxisUnits.of(axis)
         self._unit = self._units.unit
+        self.skipped: list[str] = []  # steps that were not taken
 
     # ------------------------------------------------------------------ position
 
@@ -74,8 +75,7 @@ class FirstMotion:
         self._talk.say(f"{joint} is at {self._in_words(before)}")
         moved = self._moved_by_hand(before)
         if moved is None:
-            self._talk.say("skipped: sign and scale are not checked")
-            return True
+            return self._skip("position", "sign and scale are not checked")
         if moved == 0:
             return self._bad("an amount of 0 says nothing")
         seen = self._here() - before
@@ -193,8 +193,7 @@ class FirstMotion:
             question = f"move {joint} by how much, and back [{unit}]? (empty: skip)"
             amount = talk.amount(question, unit)
             if amount is None:
-                talk.say("skipped: nothing moves")
-                return True
+                return self._skip("buzz", "nothing moves")
         counts = abs(amount * self._units.qc_per_unit)
         if counts < LEAST_COUNTS:
             return self._bad(f"{amount:g} {unit} are only {counts:.0f} counts: give more")
@@ -336,6 +335,11 @@ class FirstMotion:
     def _in_words(self, position: float) -> str:
         degrees = f" ({math.degrees(position):+.2f}°)" if self._unit == "rad" else ""
         return f"{position:+.5f} {self._unit}{degrees}"
+
+    def _skip(self, step: str, text: str) -> bool:
+        self.skipped.append(step)
+        self._talk.say(f"skipped: {text}")
+        return True
 
     def _bad(self, text: str) -> bool:
         self._talk.say(f"STOP: {text}")

@@ -168,6 +168,15 @@ def test_ctrl_c_halts_and_switches_off(person: Any) -> None:
     assert p.ends() == 130
 
 
+def test_what_was_skipped_is_not_called_right(person: Any) -> None:
+    p = person("check", "--params", GANTRY, "--joint", "gantry_x", "--only", "position", "buzz")
+    p.answers("is that safe", "y")
+    p.answers("push it by how much", "")
+    p.answers("move gantry_x by how much", "")
+    p.reads("gantry_x is as it should be, but for what was skipped: position, buzz")
+    assert p.ends() == 0
+
+
 @pytest.mark.parametrize("question", ["is that safe", "push it by how much", "move now"])
 def test_ctrl_c_ends_at_every_question(person: Any, question: str) -> None:
     step = "position" if "push" in question else "buzz"
