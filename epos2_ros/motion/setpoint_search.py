@@ -134,13 +134,17 @@ def _standing(positions: Vector, begin: int, end: int, p: float) -> float:
 
 
 @compiled
-def _following(positions: Vector, begin: int, p: float, sign: float, of: Shape) -> float:
-    """What a set-point costs, to its end."""
+def _following(
+    positions: Vector, begin: int, p: float, sign: float, of: Shape, most: float
+) -> float:
+    """What a set-point costs, to its end; something above `most` if it is more than that."""
     end = int(ceil(of.duration - 1e-9))
     step = max(1, end // _INSTANTS)
-    total = 0.0
+    total, most = 0.0, most / step
     for i in range(step, end + 1, step):
         total += _fourth(p + sign * place(of, i) - _commanded(positions, begin + i))
+        if total > most:
+            break
     return total * step
 
 
@@ -155,6 +159,13 @@ def _keep(
     at = index * NODE
     nodes[at], nodes[at + 1], nodes[at + 2], nodes[at + 3] = t, p, v, ready
     nodes[at + _COST], nodes[at + _BEFORE] = cost, before
+
+
+@compiled
+def _slot(end: int, before: int, slots: int) -> int:
+    """Where a state belongs that comes after the node `before`: later than that, however short."""
+    earliest = 0 if before == slots * CLASSES else before // CLASSES + 1
+    return min(max(end // SLOT_MS, earliest), slots - 1)
 
 
 @compiled
@@ -192,8 +203,7 @@ def _offer(
         return
     ms = int(ceil(of.duration - 1e-9))
     end = begin + ms
-    slot = min(end // SLOT_MS, slots - 1)
-    cost = so_far + _following(positions, begin, p, sign, of)
+    slot = _slot(end, before, slots)
     p1 = p + sign * place(of, float(ms))
     v1 = sign * velocity if passes else 0.0
     astray = p1 - _commanded(positions, end)
@@ -205,13 +215,16 @@ def _offer(
     if passes:
         level = max(aims.velocity_unit, 0.02 * fast)
         kind = 2 + (1 if astray > 0.0 else 0) + (0 if hurry < -level else 2 if hurry < level else 4)
-    key = cost + aims.feeding * (_fourth(astray) + _fourth(hurry * _MISS_MS)) / 2
     index = slot * CLASSES + kind
-    if slot == slots - 1:
-        key /= end
-    if key < keys[index]:
-        keys[index] = key
-        _keep(nodes, index, cost, before, end, p1, v1, begin + aims.feeding)
+    mean = 1.0 / end if slot == slots - 1 else 1.0
+    left = aims.feeding * (_fourth(astray) + _fourth(hurry * _MISS_MS)) / 2
+    most = keys[index] / mean - so_far - left
+    if most <= 0.0:
+        return
+    cost = _following(positions, begin, p, sign, of, most)
+    if cost < most:
+        keys[index] = (so_far + cost + left) * mean
+        _keep(nodes, index, so_far + cost, before, end, p1, v1, begin + aims.feeding)
         to = index * NODE + 4
         nodes[to], nodes[to + 1], nodes[to + 2], nodes[to + 3] = begin, end, target, velocity
         nodes[to + 4], nodes[to + 5], nodes[to + 6] = up, down, 1.0 if passes else 0.0
@@ -408,7 +421,7 @@ def find(positions: Vector, end: int, given: Vector, state: Vector, found: Vecto
                     best, least = node, mean
             wait = (floor((now + max(t, ready - 1e-6)) / aims.sync) + 1) * aims.sync - now
             begin = int(floor(wait + 0.5))
-            slot = min(begin // SLOT_MS, slots - 1)
+            slot = _slot(begin, node, slots)
             index = slot * CLASSES + 1
             total = cost + _standing(positions, t, begin, p)
             key = total / begin if slot == slots - 1 else total
