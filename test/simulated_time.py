@@ -6,6 +6,7 @@ every run with the same arguments is the same.
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
@@ -105,6 +106,7 @@ class Bench:
         self.on_event: Callable[[Event], object] = lambda event: None
         self._due_us = 0.0  # until when the bus runs on without the driver
         self._until: Callable[[], bool] = lambda: False
+        self._done_us = -math.inf  # a frame came then, and what was due was done
         self._answered = False  # what canopen asked
         self._serving = False  # canopen waits
         self._job: SdoRequest | None = None  # at work
@@ -176,10 +178,13 @@ class Bench:
         """Simulated time goes on for `seconds`, or until the condition holds."""
         end_us = self.now_us + seconds * 1e6
         self._until = until
+        self._done_us = -math.inf
         while self.now_us < end_us and not until():
-            self._step()
-            if until():
-                break
+            if self._done_us < self.now_us:
+                self._step()
+                if until():
+                    break
+            self._done_us = -math.inf
             self._due_us = max(self._deadline_us, self.now_us) + self.late_us()
             self.bus.run_until(min(end_us, self._due_us), self._on_frame)
         if not until():
@@ -359,6 +364,8 @@ class Bench:
                 self._on_answer(frame.data)
         self.machine.advance(self.now_us)
         self._flush()
+        if not self.machine.out.requests:
+            self._done_us = self.now_us
         if accepted and not echo and can_id & 0x780 == SDO_RESPONSE:
             self.network.notify(can_id, bytearray(data), t_us / 1e6)
         return self._deadline_us < self._due_us or self._until()

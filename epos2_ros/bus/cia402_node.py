@@ -29,6 +29,7 @@ FAULT_RESET_TIMEOUT_S = 1.0  # real drives take 25 ms
 PDO_INVALID, PDO_NO_REMOTE = 1 << 31, 1 << 30  # in a PDO's COB-ID (CiA 301, 7.5.2.35)
 DRIVE_HEARTBEAT_MS = 200
 HOST_HEARTBEAT_TIMEOUT_MS = 500  # the drive stops by itself when the host is silent so long
+WATCHED_HEARTBEAT = HOST_NODE_ID << 16 | HOST_HEARTBEAT_TIMEOUT_MS
 GUARD_TIME_MS, LIFE_TIME_FACTOR = 100, 5  # likewise: the product
 GOES_ON = "it would go on moving when the host falls silent"
 STATE_TIMEOUT_S = 5.0
@@ -68,6 +69,7 @@ class Cia402Node:
         self.node = RemoteNode(node_id, object_dictionary(family), joint)
         self.objects = SdoAccess(self.node)
         self._family = family
+        self._told_first: tuple[int, int, int] | None = None  # index, subindex, value
         network[node_id] = self.node
 
     def __str__(self) -> str:
@@ -88,8 +90,17 @@ class Cia402Node:
             self._check_identity()
             clear_faults()
             self._leave_operation()
-            write_objects()
-            return self._start(inhibit_us or {})
+            self._told_first = None
+            try:
+                write_objects()
+                statusword = self._start(inhibit_us or {})
+            except NoAnswer:
+                raise
+            except DriveError as error:
+                self._refuse_restarted(error)
+                raise
+            self._refuse_restarted()
+            return statusword
 
     def _start(self, inhibit_us: Mapping[int, int]) -> int:
         """Map the PDOs, then NMT start."""
@@ -115,15 +126,27 @@ class Cia402Node:
             self._be_guarded()
             return
         self.objects.write(epos2.PRODUCER_HEARTBEAT_TIME, DRIVE_HEARTBEAT_MS)
-        watched = HOST_NODE_ID << 16 | HOST_HEARTBEAT_TIMEOUT_MS
         self.objects.keep(
             epos2.CONSUMER_HEARTBEAT_TIME,
-            watched,
+            WATCHED_HEARTBEAT,
             1,
             f"let it watch the host's heartbeat (node {HOST_NODE_ID}, {HOST_HEARTBEAT_TIMEOUT_MS} "
             f"ms), {self.objects.name(epos2.CONSUMER_HEARTBEAT_TIME, 1)}",
             GOES_ON,
         )
+        self._told_first = epos2.CONSUMER_HEARTBEAT_TIME, 1, WATCHED_HEARTBEAT
+
+    def _refuse_restarted(self, error: DriveError | None = None) -> None:
+        """DriveError where a drive does not have any more what it was told first: then it has its
+        stored parameters again, and what it was told later alone leaves it half set up."""
+        if self._told_first is None:
+            return
+        index, subindex, value = self._told_first
+        if self.objects.read(index, subindex) != value:
+            raise DriveError(
+                f"{self} has restarted while it was being set up: check its power supply, and try "
+                "again"
+            ) from error
 
     def leave(self) -> None:
         """The host goes: a drive that is off need not watch it any more, and stays without fault.
@@ -150,6 +173,7 @@ class Cia402Node:
         ):
             attempt = f"let it watch the host by a {what}, {objects.name(index)}"
             objects.keep(index, value, 0, attempt, GOES_ON)
+        self._told_first = epos2.GUARD_TIME, 0, GUARD_TIME_MS
 
     def _check_identity(self) -> None:
         family = self._family

@@ -91,8 +91,8 @@ class Epos2Node:
         if s.produces_sync:
             self._check_sync_producer()
         self._objects.read(epos2.HIGH_RESOLUTION_TIME_STAMP)  # as it will be after each SYNC
-        write(epos2.COB_ID_SYNC, epos2.SYNC)  # an earlier host may have made it the producer
         self._access.watch_host()
+        write(epos2.COB_ID_SYNC, epos2.SYNC)  # an earlier host may have made it the producer
         self._stop_without_host()
         write(epos2.MODES_OF_OPERATION, epos2.MODE_INTERPOLATED_POSITION)
         for index, subindex, value, parameters in (

@@ -120,7 +120,7 @@ class SdoAccess:
         if kept != value:
             raise DriveError(
                 f"{self._node} does not keep {value} in {self.name(index, subindex)}, but {kept}: "
-                f"{lest}; check that its firmware is one that is supported"
+                f"{lest}; check its power supply, and that its firmware is one that is supported"
             )
 
     def _variable(self, index: int, subindex: int) -> canopen.objectdictionary.ODVariable:

@@ -16,6 +16,7 @@ from __future__ import annotations
 import queue
 import threading
 import time
+from contextlib import suppress
 
 import canopen
 from canopen.sdo import SdoClient as CanopenSdoClient
@@ -78,7 +79,7 @@ class SdoClient(CanopenSdoClient):
         if not self._transfer.acquire(timeout=max(wait_s, 0.0)):
             return False
         self._polled = _constant(request[1:4])[1] if self._behind else request
-        self.responses = queue.Queue()
+        self._drop_answers()
         self.send_request(self._polled)
         self._polled_s = time.monotonic()
         return True
@@ -102,7 +103,7 @@ class SdoClient(CanopenSdoClient):
         for _ in range(ATTEMPTS if starts else 1):
             if self._behind:
                 self._catch_up()
-            self.responses = queue.Queue()
+            self._drop_answers()
             self.send_request(request)
             response = self._response_to(request, self._of)
             if response is not None and self._segments <= MAX_SEGMENTS:
@@ -112,6 +113,12 @@ class SdoClient(CanopenSdoClient):
             self._behind = True
             self.abort(TIMED_OUT)
         raise SdoCommunicationError(f"no answer about {_name(self._of)} in time")
+
+    def _drop_answers(self) -> None:
+        """Those to what nobody waits for any more."""
+        while not self.responses.empty():
+            with suppress(queue.Empty):
+                self.responses.get_nowait()
 
     def _catch_up(self) -> None:
         of, request = _constant(self._of)

@@ -63,11 +63,10 @@ class ReceiveClock:
             return now
         self._compare(now)
         stamp_us = stamp_s * 1e6
-        offsets = (self._wall_offset_us, *(offset for _, offset in self._before))
-        latest = max(
-            (at for offset in offsets if (at := stamp_us + offset) < now + EARLY_US),
-            default=-math.inf,
-        )
+        latest = -math.inf
+        for offset in (self._wall_offset_us, *(offset for _, offset in self._before)):
+            if latest < stamp_us + offset < now + EARLY_US:
+                latest = stamp_us + offset
         if latest > now - WALL_CLOCK_TOLERANCE_US:
             self.source = "system clock of the adapter's driver"
             return min(now, latest)

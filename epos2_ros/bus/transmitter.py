@@ -100,14 +100,14 @@ class Transmitter:
         Returns frames that are through by now though no echo told, and the time at which each,
         by its length and those before it, was on the bus: all frames, for adapters without echo.
         """
-        if not self._in_flight and not any(self._lanes):
-            self.deadline_us = math.inf
-            return []
         heard_us = now_us if heard_us is None else heard_us
+        if not any(self._lanes) and not self._overdue(now_us, heard_us):
+            self.deadline_us = self._overdue_us(now_us)
+            return []
         through = self._settle(now_us, heard_us)
         room = self._room(now_us, heard_us)
         for _ in range(room if now_us >= self._retry_us else 0):
-            lane = next((lane for lane in self._lanes if lane), None)
+            lane = next(filter(None, self._lanes), None)
             if lane is None:
                 break
             if not self._send(lane[0]):
@@ -132,15 +132,24 @@ class Transmitter:
     def _duration_us(self, frame: Frame) -> float:
         return worst_case_bits(len(frame.data)) * self._us_per_bit
 
+    def _overdue(self, now_us: float, heard_us: float) -> bool:
+        """Whether the first frame handed over is through by now, or lost, though no echo told."""
+        if not self._in_flight:
+            return False
+        due_us = self._in_flight[0].due_us
+        return due_us + ECHO_TIMEOUT_US <= heard_us if self.echoes else due_us <= now_us
+
+    def _overdue_us(self, now_us: float) -> float:
+        """When that is to be looked at again."""
+        if not self._in_flight:
+            return math.inf
+        due_us = self._in_flight[0].due_us
+        return max(due_us + ECHO_TIMEOUT_US, now_us + LOOK_AGAIN_US) if self.echoes else due_us
+
     def _settle(self, now_us: float, heard_us: float) -> list[tuple[Frame, float]]:
         through = []
-        while self._in_flight:
-            sent = self._in_flight[0]
-            if self.echoes and sent.due_us + ECHO_TIMEOUT_US > heard_us:
-                break
-            if not self.echoes and sent.due_us > now_us:
-                break
-            self._in_flight.popleft()
+        while self._overdue(now_us, heard_us):
+            sent = self._in_flight.popleft()
             self.dropped += self.echoes
             # Later frames have come back: so did this one, only that nobody saw it.
             if not self.echoes or self._echoes_seen > sent.echoes:
@@ -151,17 +160,14 @@ class Transmitter:
 
     def _room(self, now_us: float, heard_us: float) -> int:
         """How many frames may be handed over now."""
-        due_us = [sent.due_us for sent in self._in_flight]
-        on_the_way = sum(due > now_us or due <= heard_us for due in due_us)
-        return min(MAX_IN_FLIGHT - on_the_way, MAX_UNHEARD - len(due_us))
+        on_the_way = 0
+        for sent in self._in_flight:
+            on_the_way += sent.due_us > now_us or sent.due_us <= heard_us
+        return min(MAX_IN_FLIGHT - on_the_way, MAX_UNHEARD - len(self._in_flight))
 
     def _next_us(self, now_us: float, heard_us: float) -> float:
-        due = math.inf
-        if self._in_flight:
-            due = self._in_flight[0].due_us
-            if self.echoes:
-                due = max(due + ECHO_TIMEOUT_US, now_us + LOOK_AGAIN_US)
-        if self.waiting:
+        due = self._overdue_us(now_us)
+        if any(self._lanes):
             if self._room(now_us, heard_us) > 0:
                 return min(due, max(self._retry_us, now_us))
             awaited = (sent.due_us for sent in self._in_flight if sent.due_us > now_us)

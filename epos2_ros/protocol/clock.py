@@ -174,7 +174,7 @@ class MasterClock:
         x, ahead = seen[:, :1] - seen[-1, 0], seen[:, 1:] - seen[:, :1]
         # The noise is the host's and common to all drives: one verdict per SYNC.
         bent = ahead - self.drift * x
-        noise = (bent - _median(bent)).mean(axis=1)
+        noise = (bent - _median(bent)).sum(axis=1) / len(self.drift)
         deviation = np.abs(noise - _median(noise))
         self.noise_us = float(_median(deviation))
         good = deviation <= max(OUTLIER * self.noise_us, OUTLIER_FLOOR_US)

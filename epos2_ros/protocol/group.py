@@ -462,7 +462,7 @@ class Group:
 
     def _may_sync(self) -> bool:
         """Between arming and the start no SYNC but the start's; none overtakes a controlword."""
-        return self.phase is not Phase.ARMING and not self._words.unseen
+        return self.phase is not Phase.ARMING and not self._words.on_their_way
 
     def _enter(self, phase: Phase) -> None:
         self.phase = phase
@@ -855,11 +855,12 @@ class Group:
 
     def _watch_words(self) -> None:
         """No SYNC goes out while a controlword is on its way, so that can't be for ever."""
-        unseen = self._words.unseen
-        if unseen and self._now_us > self._words.sent_us + REPLY_TIMEOUT_US:
+        words = self._words
+        if words.on_their_way and self._now_us > words.sent_us + REPLY_TIMEOUT_US:
             if self.phase is Phase.ARMING:
                 return  # which has words of its own
-            self._words.forget()
+            unseen = words.unseen
+            words.forget()
             self.fail(f"a controlword was not seen on the bus for {names(unseen)}")
 
     def _cancel(self) -> None:

@@ -53,6 +53,11 @@ class SynchronousControlwords:
             )
 
     @property
+    def on_their_way(self) -> bool:
+        """Whether some are not yet on the bus."""
+        return bool(self._unseen)
+
+    @property
     def unseen(self) -> list[Drive]:
         """The drives whose controlword is not yet on the bus."""
         unseen = self._unseen

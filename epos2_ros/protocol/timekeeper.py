@@ -99,6 +99,7 @@ class Timekeeper:
         self._off_us = [0.0] * len(drives)  # of each clock, from the others' at the last SYNC
         self._read_us = [-math.inf] * len(drives)  # the last SYNC whose clock each has told, …
         self._unread_us = [0.0] * len(drives)  # … and how long before the last read that was
+        self.well = True  # no drive has trouble with its clock, not even by what counts in motion
         self._sees_syncs = self.produces
         self._reads = False  # the clocks at the last SYNC count
         self._forget()
@@ -133,6 +134,7 @@ class Timekeeper:
         self._off_us = [0.0] * len(self.drives)
         self._read_us = [now_us] * len(self.drives)
         self._unread_us = [0.0] * len(self.drives)
+        self.well = True
         self._syncs_us.clear()
         self._delays_us.clear()
         self._round_due_us = now_us
@@ -338,6 +340,20 @@ class Timekeeper:
         """The drives have answered, or had their time: correct those that have."""
         if self._unstamped_us == math.inf:
             return
+        self._take_in()
+        self._unstamped_us = math.inf
+        answered = [drive for drive, value in enumerate(self._latched) if value is not None]
+        if self._master is not None:
+            stamp = self._latched[self._master]
+            if stamp is not None:
+                for drive in answered:
+                    self.clock.corrected(drive, stamp)
+        else:
+            self._put_right(answered, now_us)
+        self.well = not any(self.trouble(drive, True) for drive in range(len(self.drives)))
+
+    def _take_in(self) -> None:
+        """What the drives have answered, and which have not."""
         clock = self.clock
         if all(self._stray) and not clock.settled:
             clock.begin_anew()
@@ -346,14 +362,10 @@ class Timekeeper:
         elif self.drives:  # else there is no clock to keep
             clock.on_sync(self._unstamped_us, self._latched)
             self._compare()
-        self._unstamped_us = math.inf
-        answered = [drive for drive, value in enumerate(self._latched) if value is not None]
-        if self._master is not None:
-            stamp = self._latched[self._master]
-            if stamp is not None:
-                for drive in answered:
-                    clock.corrected(drive, stamp)
-            return
+
+    def _put_right(self, answered: Sequence[int], now_us: float) -> None:
+        """The drives that have answered."""
+        clock = self.clock
         if self._begins_path:
             clock.keep()
             self.path_began_us = clock.sync_us if answered and clock.settled else None

@@ -126,13 +126,13 @@ class Watch:
 
     def look(self, phase: Phase) -> bool:
         """Whether something is wrong that no frame tells: silence, and clocks that are off."""
-        wrong, running = self._sync_missing(), self._time.running
+        wrong, running, well = self._sync_missing(), self._time.running, self._time.well
         for place, drive in enumerate(self._drives):
             silent = running and self._silence.silent(place)
             if silent:
                 self._unheard.add(drive)
             elsewhere = silent or drive.restarted or drive.not_operational >= NOT_OPERATIONAL
-            if elsewhere or self._clock_trouble(drive, phase):
+            if elsewhere or not well and self._clock_trouble(drive, phase):
                 self._lost.add(drive)
                 wrong = True
             elif self._left_operation(drive, phase):

@@ -225,6 +225,44 @@ def test_a_drive_that_falls_silent(nth: int) -> None:
     assert "joint_2 (node 2)" in line
 
 
+def objects_of(drive: Epos2 | Copley | Cl3e) -> dict[tuple[int, int], int]:
+    """What it was told: its parameters, but for what time and the host's commands make of them."""
+    states = (0x1003, 0x6040)
+    return {
+        key: entry.value
+        for key, entry in drive.dictionary.items()
+        if entry.access in ("rw", "rww") and entry.read is None and key[0] not in states
+    }
+
+
+def restarting(family: str, nth: int) -> Epos2 | Copley | Cl3e:
+    """Once, and does not answer then."""
+
+    def restart(request: bytes) -> None:
+        drive.met = None
+        drive.power_off()
+        drive.power_on(drive.now_us)
+
+    drive = KINDS[family](2, nth, restart)
+    return drive
+
+
+@pytest.mark.parametrize("family", KINDS)
+def test_a_drive_that_restarts_meanwhile_is_not_taken_for_set_up(family: str) -> None:
+    """At any access: it is set up as it is without that, or refused with what has happened."""
+    whole = KINDS[family](2, float("inf"), lambda request: None)
+    assert bring_up(whole) == ""
+    last, lines = len(whole.accesses) - 1, []
+    for nth in sorted({*range(0, last, 1 if ALL else 9), last - 3, last - 2, last - 1, last}):
+        drive = restarting(family, nth)
+        lines.append(bring_up(drive))
+        if lines[-1] == "":
+            assert objects_of(drive) == objects_of(whole), nth
+        elif "has restarted" not in lines[-1]:  # between what it has to keep and the look at that
+            assert re.match(r"joint_2 \(node 2\) does not keep .* its power supply", lines[-1])
+    assert any("has restarted while it was being set up: check " in line for line in lines)
+
+
 @pytest.mark.parametrize("meet", ["short", "other", "long"])
 def test_answers_that_are_none(meet: str) -> None:
     """Too short, of another object, a value of another length."""
