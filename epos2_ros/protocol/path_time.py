@@ -47,11 +47,19 @@ class PathTime:
             return self.planned_us or now_us
         if self._host_is_master:
             return self.start_us
-        return now_us - self._clock.master_us(now_us) + self._start_master_us
+        return now_us - self._passed_us(now_us)
 
     def at_ms(self, now_us: float) -> float | None:
         """Path time at `now_us`; None before the start SYNC."""
-        return None if self.start_us is None else (now_us - self.zero_us(now_us)) / 1000
+        if self.start_us is None:
+            return None
+        if self._host_is_master:
+            return (now_us - self.start_us) / 1000
+        return self._passed_us(now_us) / 1000
+
+    def _passed_us(self, now_us: float) -> float:
+        """Since the start SYNC, by the clock of the drive that is the master."""
+        return self._clock.master_us(now_us) - self._start_master_us
 
     @property
     def start_error_us(self) -> float | None:

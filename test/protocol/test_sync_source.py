@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import warnings
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from epos2_ros.errors import ConfigurationError, DriveError, MotionAborted
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.protocol.clock import MasterClock
 from epos2_ros.protocol.frame import Frame
+from epos2_ros.protocol.path_time import PathTime
 from epos2_ros.protocol.phase import Phase
 from epos2_ros.sim.epos2 import Dictionary, Epos2
 
@@ -233,6 +235,18 @@ class LateHost(Bench):
         self._hear()
         if self.now_us >= self._wakes_us:
             super()._step()
+
+
+@pytest.mark.parametrize("host_is_master", [True, False])
+def test_what_never_was_is_before_the_path_and_never_after_it(host_is_master):
+    """A drive that has not reported yet; what is never due."""
+    path_time = PathTime(MasterClock(2, 100e3, None if host_is_master else 1), host_is_master)
+    assert path_time.at_ms(-math.inf) is None
+    path_time.begin(5e6)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert [path_time.at_ms(t) for t in (-math.inf, math.inf)] == [-math.inf, math.inf]
+        assert path_time.at_ms(5.25e6) == pytest.approx(250.0)
 
 
 @pytest.mark.parametrize(("source", "producer"), ALL)
