@@ -14,6 +14,8 @@ import tty
 
 import can
 
+from .terminal_reader import TerminalReader
+
 OK, ERROR = b"\r", b"\a"
 _BITRATES = (10, 20, 50, 100, 125, 250, 500, 800, 1000)  # kbit/s, by the digit after S
 _VERSION = b"V1013\r"  # hardware 1.0, software 1.3
@@ -37,6 +39,8 @@ class SlcanAdapter(can.BusABC):
         self._listen_only = False
         self._time_stamps = False
         self._input = bytearray()
+        self._came_s = 0.0  # when the last of it came, by the wall clock
+        self._reader = TerminalReader(self._master)
         super().__init__(self.path)
         self.channel_info = f"slcan adapter on {self.path}"
 
@@ -62,10 +66,17 @@ class SlcanAdapter(can.BusABC):
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         message = self._next_frame()
-        if message is None and select.select([self._master], [], [], timeout)[0]:
-            self._input += os.read(self._master, 4096)
+        if message is None and (more := self._more(timeout)):
+            self._came_s, data = more
+            self._input += data
             message = self._next_frame()
         return message, False
+
+    def _more(self, timeout: float | None) -> tuple[float, bytes] | None:
+        try:
+            return self._reader.read(timeout)
+        except OSError as error:
+            raise can.CanOperationError(str(error)) from error
 
     def _next_frame(self) -> can.Message | None:
         """Carries out commands up to the first that puts a frame on the bus."""
@@ -118,8 +129,7 @@ class SlcanAdapter(can.BusABC):
             return OK  # acceptance filters: everything passes
         return {"V": _VERSION, "N": _SERIAL, "F": _NO_FLAGS}.get(line, ERROR)
 
-    @staticmethod
-    def _parse(line: str) -> can.Message | None:
+    def _parse(self, line: str) -> can.Message | None:
         """A transmit command: tIIIL…, TIIIIIIIIL…, and r, R without data."""
         extended, remote = line[0] in "TR", line[0] in "rR"
         digits = 8 if extended else 3
@@ -131,7 +141,7 @@ class SlcanAdapter(can.BusABC):
         if length > 8 or len(data) != (0 if remote else length):
             return None
         return can.Message(
-            timestamp=time.time(),
+            timestamp=self._came_s,
             arbitration_id=can_id,
             is_extended_id=extended,
             is_remote_frame=remote,
@@ -141,5 +151,6 @@ class SlcanAdapter(can.BusABC):
 
     def shutdown(self) -> None:
         super().shutdown()
+        self._reader.close()
         os.close(self._master)
         os.close(self._slave)

@@ -285,9 +285,46 @@ def test_slcan_commands(
     adapter: SlcanAdapter, terminal: int, commands: bytes, expected: bytes
 ) -> None:
     os.write(terminal, commands)
-    while adapter.recv(0.01) is not None or select.select([adapter._master], [], [], 0)[0]:
-        pass
-    assert answers(terminal) == expected
+    text = b""
+    deadline = time.monotonic() + PATIENCE_S
+    while len(text) < len(expected) and time.monotonic() < deadline:
+        adapter.recv(0.01)
+        text += answers(terminal)
+    assert text == expected
+
+
+def test_a_frame_that_is_got_to_late_has_the_time_when_it_came(
+    adapter: SlcanAdapter, terminal: int
+) -> None:
+    """A computer that is busy with something else makes no frame late."""
+    written_s = []
+    for line in (b"O\r", b"t0800\r", b"t2010\r"):
+        written_s.append(time.time())
+        os.write(terminal, line)
+        assert select.select([adapter._reader], [], [], PATIENCE_S)[0]
+        adapter._reader.look()
+    late_s = time.time()
+    stamps = [adapter.recv(PATIENCE_S).timestamp for _ in range(2)]
+    assert written_s[1] <= stamps[0] <= written_s[2] <= stamps[1] <= late_s
+
+
+def test_a_simulator_that_is_killed_leaves_nothing_behind() -> None:
+    """Nor is anything left to wait for when it is the reader of its terminal that is killed."""
+    program = "from epos2_ros.sim.slcan import SlcanAdapter as A; a = A(); " + (
+        "print(a._reader._process.pid, flush=True); input()"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", program], cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as simulator:
+        assert simulator.stdout is not None
+        reader = os.pidfd_open(int(simulator.stdout.readline()))
+        simulator.kill()
+        assert select.select([reader], [], [], PATIENCE_S)[0]  # it has ended
+        os.close(reader)
+    with SlcanAdapter() as adapter:
+        adapter._reader._process.kill()
+        with pytest.raises(can.CanOperationError, match="reader has ended"):
+            adapter.recv(PATIENCE_S)
 
 
 def test_slcan_frames_both_ways(adapter: SlcanAdapter, terminal: int) -> None:
