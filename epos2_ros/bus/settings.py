@@ -73,9 +73,15 @@ def fit_axis(axis: AxisConfig, config: DriverConfig) -> FitAxis:
     else:
         most = abs(units.to_qc_s(acceleration))
         spare = most - abs(units.to_qc_s(axis.max_acceleration))
+    unit_qc_s = _unit_qc_s(axis)
+    fastest_qc_s = abs(units.to_qc_s(_velocity(axis, config, VELOCITY_HEADROOM)))
+    # Where that is whole units, the last digit of a float is not to take one away.
+    whole_qc_s = round(fastest_qc_s / unit_qc_s) * unit_qc_s
+    if math.isclose(fastest_qc_s, whole_qc_s, rel_tol=1e-12):
+        fastest_qc_s = max(fastest_qc_s, whole_qc_s)
     return FitAxis(
-        _unit_qc_s(axis),
-        abs(units.to_qc_s(_velocity(axis, config, VELOCITY_HEADROOM))),
+        unit_qc_s,
+        fastest_qc_s,
         most,
         spare,
         config.least_velocity / 60 * axis.counts_per_turn,

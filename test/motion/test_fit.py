@@ -15,6 +15,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from trajectories import NAMES, axes_of, curve_of, example, gentle, limited, trajectories
 
+from epos2_ros.bus.settings import fit_axis
+from epos2_ros.configuration.driver import AxisConfig, DriverConfig
 from epos2_ros.errors import ConfigurationError, TrajectoryError
 from epos2_ros.motion.fit import FitAxis, Fitter
 from epos2_ros.motion.record import Record
@@ -199,6 +201,24 @@ def test_an_axis_that_creeps_follows_without_velocities_near_zero() -> None:
     made = converted(creep, axes)
     assert all(not r.velocity or abs(r.velocity) >= 2000 for records in made for r in records)
     assert_follows(creep, made, 1.0, unit_qc_s=RPM / 1000)
+
+
+@given(
+    gear_ratio=st.floats(1.0, 200.0),
+    units=st.floats(0.01, 3.0),
+    counts_per_turn=st.sampled_from([512, 2000, 40_000]),
+)
+def test_records_may_have_the_whole_velocity_unit_not_below_the_limit(
+    gear_ratio: float, units: float, counts_per_turn: int
+) -> None:
+    """An axis that has but 0 and one unit to go at would have nothing left."""
+    limit = units * 2 * np.pi / 60 / gear_ratio  # one unit is 1 rpm of the motor
+    axis = AxisConfig(
+        "j", 1, counts_per_turn=counts_per_turn, gear_ratio=gear_ratio, max_velocity=limit
+    )
+    fit, whole = fit_axis(axis, DriverConfig((axis,))), np.ceil(units * (1 - 1e-9))
+    assert fit.velocity_unit_qc_s == pytest.approx(counts_per_turn / 60)
+    assert fit.max_velocity_qc_s >= whole * fit.velocity_unit_qc_s
 
 
 def test_what_no_drive_can_follow_is_refused() -> None:
