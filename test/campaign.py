@@ -32,7 +32,9 @@ from typing import Any
 from unittest import mock
 
 import numpy as np
+import stage_outputs
 from simulated_time import Bench
+from stage_outputs import StageOutputs
 
 from epos2_ros.bus import cia402_node, sdo_access, sdo_client, timestamps
 from epos2_ros.bus.timestamps import ReceiveClock
@@ -58,6 +60,7 @@ LEFT_S = 1.0  # alone, drives that watch a host have found by then that there is
 ANSWER_S = 60.0  # within which every request is answered; bring-up of a silent drive included
 STARTED_US = 400_000.0  # so long the drives have had power when bring-up begins
 SAMPLE_US = 4_000.0
+WORKER_US = 1_000.0  # until the worker begins what is to be done by SDO
 QUEUE = 10  # frames, of SocketCAN
 SWAP_US = 20_000.0  # as long a frame waits for one that overtakes it
 START = 0x1F  # of a controlword: operation enabled, and bit 4, with which each mode begins
@@ -83,6 +86,7 @@ class Axis:
     family: str
     drift_ppm: float
     homing: str
+    output: str = ""  # the kind of its position-triggered output
 
 
 @dataclass(frozen=True)
@@ -128,8 +132,9 @@ class Scenario:
 
 
 ACTIONS = (
-    *("enable", "enable", "move", "move", "move", "move", "move_later", "replace", "stream"),
-    *("stop", "halt", "quick_stop", "disable", "reset_fault", "reset_fault", "move_to", "home"),
+    *("enable", "enable", "move", "move", "move", "move", "move_later", "move_much_later"),
+    *("replace", "stream", "stop", "halt", "quick_stop", "disable", "reset_fault", "reset_fault"),
+    *("move_to", "home"),
 )
 TO_DRIVE = {  # function codes of what the host sends, by what may happen to it
     "lose": (0x200, 0x200, 0x300, 0x400, 0x500, 0x080, 0x600, 0x700, 0x000),
@@ -156,6 +161,7 @@ def scenario_of(seed: int) -> Scenario:
             chance.choice(("epos2", "epos2", "epos2", "epos2", "copley", "cl3e")),
             chance.uniform(-200, 200),
             chance.choice(("", "here", "index_positive")),
+            chance.choice(stage_outputs.KINDS),
         )
         for _ in range(chance.choice((1, 2, 2, 3)))
     )
@@ -195,8 +201,9 @@ def _trouble(chance: random.Random, axes: int, actions: int) -> Trouble:
         (
             *(f"{kind} to drive" for kind in TO_DRIVE),
             *(f"{kind} to host" for kind in TO_HOST),
-            *("abort", "no SDO", "emergency", "emergency", "silent", "silent", "power", "stall"),
-            *("stall", "clock", "foreign", "length", "wall", "wall", "adapter", "other host"),
+            *("abort", "no SDO", "late SDO", "emergency", "emergency", "silent", "silent", "power"),
+            *("stall", "stall", "clock", "foreign", "length", "wall", "wall", "adapter"),
+            "other host",
         )
     )
     kind, _, to = name.partition(" to ")
@@ -283,7 +290,7 @@ class Meddler:
                     self._deliver(can_id, data, *rest)
                 case "delay":
                     again = (can_id, data, *rest)
-                    self._stage.later(meddling.delay_us, lambda _, f=again: self._deliver(*f))
+                    self._stage.later(meddling.delay_us, lambda _, f=again: self._late(f))
                     return False
                 case "swap":
                     meddling.held = held = can_id, data, *rest
@@ -303,7 +310,11 @@ class Meddler:
         """Nothing has come that it could be swapped with."""
         if meddling.held is frame:
             meddling.held = None
-            self._deliver(*frame)
+            self._late(frame)
+
+    def _late(self, frame: Any) -> None:
+        if self._deliver(*frame):
+            self._stage.bus.interrupt()
 
 
 class Stage(Bench):
@@ -351,6 +362,13 @@ class Stage(Bench):
         names = {drive.node_id: str(drive) for drive in self.machine.drives}
         self._other_host = OtherHost(names, self.machine.time.produces)
         self._listen_for_another_host()
+        joints = zip(config.axes, scenario.axes, strict=True)
+        outputs = [
+            stage_outputs.config_of(axis.joint, made.output)
+            for axis, made in joints
+            if made.output and axis.drive != "cl3e"  # which has none
+        ]
+        self.outputs = StageOutputs(self, outputs) if outputs else None
         self.watch = Watch(self)
         self.asked: list[tuple[str, Future[Any]]] = []
         self.refused: list[str] = []
@@ -372,6 +390,14 @@ class Stage(Bench):
     def _step(self) -> None:
         self._sleep()
         super()._step()
+        if self.outputs is not None:
+            self.outputs.work()
+
+    @property
+    def _deadline_us(self) -> float:
+        waits = self.outputs is not None and self.outputs.waiting
+        soon_us = self.now_us + WORKER_US if waits else math.inf
+        return min(super()._deadline_us, soon_us)
 
     def _hear(self) -> None:
         self._sleep()
@@ -421,12 +447,19 @@ class Stage(Bench):
                 if told and running:
                     self.group.fail(told)
             receive(frame, t_us, echo)
+            if self.outputs is not None:
+                self.outputs.receive(frame, t_us, echo)
 
         self.machine.receive = look  # type: ignore[method-assign]
 
     def _push(self, frame: Frame) -> None:
         self.watch.handed_over(frame)
         super()._push(frame)
+
+    def bring_up_drive(self, index: int) -> None:
+        super().bring_up_drive(index)
+        if self.outputs is not None:
+            self.outputs.arm(index)
 
     def reset_fault(self) -> Future[None]:
         """As `Driver.reset_fault`."""
@@ -471,6 +504,10 @@ class Stage(Bench):
                     work = Meddling("lose", frozenset({0x580 + node}), 10**9, 0)
                     self.host_wire.work.append(work)
                     self.later(lasts_us, lambda _: setattr(work, "left", 0))
+                case "late SDO":
+                    work = Meddling("delay", frozenset({0x580 + node}), 10**9, min(lasts_us, 200e3))
+                    self.host_wire.work.append(work)
+                    self.later(min(10 * lasts_us, 3e6), lambda _: setattr(work, "left", 0))
                 case "emergency":
                     if drive.powered and not isinstance(drive, Copley):
                         drive.advance(t_us)
@@ -734,6 +771,8 @@ class Watch:
     def _moves(self, place: int) -> bool:
         drive, shafts = self._stage.drives[place], self._shafts[place]
         shafts.append(_shaft_qc(drive))
+        if self._stage.outputs is not None:
+            self._stage.outputs.look(place, shafts[-1])
         return len(shafts) == HISTORY and abs(shafts[-1] - shafts[0]) > REST_QC
 
     def _excuse_s(self, place: int) -> float:
@@ -842,7 +881,14 @@ def _home(stage: Stage, action: Action) -> Future[Any] | None:
     orders = stage.machine.homing_orders()
     if not orders:
         return None
-    return stage.machine.home([stage.machine.drives.index(drive) for drive in orders[0]])
+    places = [stage.machine.drives.index(drive) for drive in orders[0]]
+    if stage.outputs is None or not stage.group.standing:
+        return stage.machine.home(places)
+    for place in places:
+        stage.outputs.disarm(place)
+    answer = stage.machine.home(places)
+    stage.outputs.arm_when(places, answer.done)
+    return answer
 
 
 REQUESTS: dict[str, Callable[[Stage, Action], Future[Any] | None]] = {
@@ -854,6 +900,7 @@ REQUESTS: dict[str, Callable[[Stage, Action], Future[Any] | None]] = {
     "reset_fault": lambda stage, _: stage.reset_fault(),
     "move": _move,
     "move_later": lambda stage, action: _move(stage, action, 0.4),
+    "move_much_later": lambda stage, action: _move(stage, action, 2.0),
     "replace": lambda stage, action: _move(stage, action, reach=-action.reach / 2),
     "stream": _stream,
     "move_to": _move_to,
@@ -946,11 +993,20 @@ def _harmless(scenario: Scenario, trouble: Trouble) -> bool:
     return trouble.name in ("wall", "foreign")
 
 
+def _as_fired(stage: Stage) -> None:
+    """What is reported of outputs is what they have fired, when the axes have come to rest."""
+    if stage.outputs is not None:
+        stage.run(stage_outputs.REPORTED_S + 4 * stage.config.sync_period)
+        if wrong := stage.outputs.difference():
+            raise Broken("what is reported is what has fired", wrong)
+
+
 def _no_fault(stage: Stage) -> None:
     """Where nothing has happened that the driver doesn't bear."""
     for event in stage.events:
         if event.kind == "fault":
             raise Broken("no fault without a cause", event.text)
+    _as_fired(stage)
 
 
 def _agree(stage: Stage) -> None:
@@ -1008,6 +1064,9 @@ def _again(stage: Stage) -> None:
     try:
         _expect(stage, "reset_fault", stage.reset_fault())
         _expect(stage, "enable", stage.group.enable())
+        if stage.outputs is not None:
+            stage.run(stage_outputs.REPORTED_S + 4 * stage.config.sync_period)
+            stage.outputs.begin()
         if stage.machine.interpolated.drives:
             places = [stage.machine.drives.index(d) for d in stage.machine.interpolated.drives]
             ends = [round(stage.machine.drives[p].standing_qc + 0.05 * QC_PER_RAD) for p in places]
@@ -1018,6 +1077,7 @@ def _again(stage: Stage) -> None:
         else:
             _expect(stage, "move_to", _move_to(stage, Action("move_to", 0, 0.05, 0.6)))
         _agree(stage)
+        _as_fired(stage)
         _expect(stage, "quick_stop", stage.group.quick_stop())
         _expect(stage, "disable", stage.group.disable())
         _agree(stage)
@@ -1058,6 +1118,8 @@ def play(scenario: Scenario) -> Stage:
                 stage, brought_up = _killed(stage, scenario.killed_s)
             elif brought_up:
                 _settle(stage)
+            if stage.outputs is not None and (wrong := stage.outputs.astray()):
+                raise Broken("outputs fire where they are to", wrong)
             if all(_harmless(scenario, trouble) for trouble in scenario.troubles):
                 _no_fault(stage)
             stage.heal()

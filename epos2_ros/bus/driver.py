@@ -413,17 +413,33 @@ class Driver:
         if not orders:
             raise DriveError("no joint has a homing method: set axes.<joint>.homing.method")
         for drives in orders:
-            joints = [drive.joint for drive in drives]
-            for joint in joints:
-                self._worker.run(partial(self._outputs.disarm, joint))
-            places = [self._machine.drives.index(drive) for drive in drives]
-            try:
-                motion = self._reactor.call(partial(self._machine.home, places))
-                self._wait(motion, "home", self._machine.home_limit_s(places) + REQUEST_TIMEOUT_S)
-            except (TrajectoryError, MotionAborted, MotionStopped) as error:
-                raise DriveError(str(error)) from error
-            for joint in joints:
-                self._worker.run(partial(self._outputs.arm, joint))
+            if not self._reactor.call(lambda: self._group.standing):
+                raise DriveError(f"can't move: the drives are {self._group.describe_phase()}")
+            for drive in drives:
+                self._worker.run(partial(self._outputs.disarm, drive.joint))
+            wrong = [self._home(drives)]
+            lost = self._reactor.call(self._group.lost)  # armed when they are brought up anew
+            wrong += [self._arm(drive) for drive in drives if drive not in lost]
+            if any(wrong):
+                raise DriveError("; ".join(filter(None, wrong)))
+
+    def _home(self, drives: Sequence[Drive]) -> str:
+        """All of these at once; what went wrong, or ""."""
+        places = [self._machine.drives.index(drive) for drive in drives]
+        try:
+            motion = self._reactor.call(partial(self._machine.home, places))
+            self._wait(motion, "home", self._machine.home_limit_s(places) + REQUEST_TIMEOUT_S)
+        except (TrajectoryError, MotionAborted, MotionStopped, DriveError) as error:
+            return str(error)
+        return ""
+
+    def _arm(self, drive: Drive) -> str:
+        """The outputs of a drive that stands; what went wrong, or ""."""
+        try:
+            self._worker.run(partial(self._outputs.arm, drive.joint))
+        except DriveError as error:
+            return str(error)
+        return ""
 
     def set_positions(self, output: str, positions: Sequence[float]) -> None:
         """A series gets other positions [unit]; ConfigurationError if it can't."""

@@ -671,7 +671,8 @@ class Group:
             self._settle_fault(
                 f"no answer to SYNC from {names(late)}"
                 if late
-                else "the drives' clocks don't go by the times of SYNC that the host sees"
+                else "the drives' clocks don't go by the times of SYNC that the host sees: their "
+                "answers come late, or this computer listens late; check the load of both"
             )
 
     def _tell_arrival(self) -> None:

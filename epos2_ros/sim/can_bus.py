@@ -115,6 +115,7 @@ class SimulatedBus:
         self._agenda: list[tuple[float, int]] = []  # heap of next events, by place in `drives`
         self._scheduled: list[float] = []  # the one of them that counts, per drive
         self._talking: set[int] = set()  # drives with something to send
+        self._interrupted = False
 
     def add(self, drive: Slave) -> None:
         """Connects a drive."""
@@ -146,6 +147,7 @@ class SimulatedBus:
         Calls `on_frame(can_id, data, t_us, is_echo)` for every frame the host sees, with
         `now_us` the time it sees it; if that returns `True`, returns at once. Gives `now_us`.
         """
+        self._interrupted = False
         self._agenda, self._scheduled = [], [math.inf] * len(self.drives)
         for place in range(len(self.drives)):
             self._look_at(place)
@@ -154,6 +156,8 @@ class SimulatedBus:
             if self._late:
                 horizon_us = min(horizon_us, self._late[0][0])
             if self._run_drives(horizon_us):
+                if self._interrupted:
+                    return self.now_us
                 continue  # one of them has something to say, and the bus is free
             self.now_us = max(self.now_us, horizon_us)
             if self._end_us <= horizon_us:
@@ -164,8 +168,12 @@ class SimulatedBus:
             if stop or horizon_us >= t_us:
                 return self.now_us
 
+    def interrupt(self) -> None:
+        """`run_until` returns at once; from within a drive's `advance`."""
+        self._interrupted = True
+
     def _run_drives(self, horizon_us: float) -> bool:
-        """Advances the drives; stops early, with `True`, when one could start a frame."""
+        """Advances the drives; stops early, with `True`, when one has something to say."""
         agenda, scheduled = self._agenda, self._scheduled
         while agenda and agenda[0][0] <= horizon_us:
             due_us, place = heapq.heappop(agenda)
@@ -173,7 +181,7 @@ class SimulatedBus:
                 self.now_us = max(self.now_us, due_us)
                 self.drives[place].advance(due_us)
                 self._look_at(place)
-                if self._talking and self._sending is None:
+                if self._interrupted or (self._talking and self._sending is None):
                     return True
         return False
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
 
@@ -14,10 +15,15 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from epos2_ros.bus.driver import Driver
 from epos2_ros.bus.snapshot import OutputSnapshot, Snapshot
-from epos2_ros.configuration.driver import AxisConfig, ClockLimits, DriverConfig
+from epos2_ros.configuration.driver import (
+    AxisConfig,
+    ClockLimits,
+    DriverConfig,
+    HomingConfig,
+)
 from epos2_ros.configuration.outputs import CompareConfig
 from epos2_ros.configuration.parameters import DriverParameters
-from epos2_ros.errors import ConfigurationError, TrajectoryError
+from epos2_ros.errors import ConfigurationError, DriveError, TrajectoryError
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.node import messages
 from epos2_ros.protocol.outbox import Event
@@ -321,3 +327,30 @@ def test_a_copley_drive_that_comes_back_is_armed_anew() -> None:
         bench.until(lambda: len(bench.positions("laser")) == 15)
         bench.until(lambda: bench.driver.snapshot().outputs[0].tally.predicted == 5)
         assert bench.driver.snapshot().outputs[0].tally.difference == ""
+
+
+def test_outputs_are_armed_again_after_a_homing_that_was_refused_or_stopped() -> None:
+    """And not switched off at all while the axes move."""
+    laser = CompareConfig("laser", "z", "interval", start=0.0005, interval=0.001)
+    homing = HomingConfig("index_positive", (0.02, 0.005), acceleration=0.5, max_travel=0.1)
+    axes = (AxisConfig("x", 1, **BELT), AxisConfig("z", 2, **COPLEY, homing=homing))
+    with Bench("outputs9", laser, axes=axes) as bench:
+        bench.driver.move_to({"z": 0.01})
+        with pytest.raises(DriveError, match="can't move: the drives are"):
+            bench.driver.home()
+        bench.until(lambda: bench.done == 1)
+        bench.until(lambda: len(bench.positions("laser")) == 10)
+        bench.driver.disable()
+        with pytest.raises(DriveError, match="can't move: the drives are disabled"):
+            bench.driver.home()
+        bench.driver.enable()
+        with ThreadPoolExecutor(1) as pool:
+            homed = pool.submit(bench.driver.home)
+            bench.until(lambda: bench.driver.snapshot().state == "moving")
+            bench.driver.halt()
+            with pytest.raises(DriveError, match="halted on request"):
+                homed.result(10)
+        here, before = bench.driver.snapshot().axes[1].position, len(bench.positions("laser"))
+        bench.driver.move_to({"z": here - 0.0052})
+        bench.until(lambda: bench.done == 2)
+        bench.until(lambda: len(bench.positions("laser")) >= before + 5)

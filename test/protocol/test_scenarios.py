@@ -13,12 +13,14 @@ from campaign import Action, Axis, Broken, Scenario, Trouble, broken, play, scen
 
 from epos2_ros.bus.cia402_node import Cia402Node
 from epos2_ros.protocol import group, silence, watch
+from epos2_ros.protocol.outputs import outputs
 from epos2_ros.protocol.pvt import counted, path_audit
 from epos2_ros.protocol.synchronous import SynchronousControlwords
 
 SEEDS = range(16)
 TWO = (Axis("epos2", 60.0, ""), Axis("epos2", -60.0, ""))
 MIXED = (Axis("epos2", 60.0, ""), Axis("cl3e", 0.0, ""))  # one that tells no path
+FIRING = (Axis("epos2", 60.0, "", "interval"), Axis("copley", -60.0, "", "interval"))
 ENABLE = Action("enable", 0.0)
 MOVE = Action("move", 2.0, 0.6, 2.5)
 SLOWLY = Action("move", 2.0, 0.3, 1.5)  # no drive complains by itself when a record is lost
@@ -90,6 +92,35 @@ def does_not_let_go(monkeypatch):
     monkeypatch.setattr(Cia402Node, "leave", nothing)
 
 
+def does_not_arm_anew(monkeypatch):
+    """The outputs of a drive that comes back."""
+    arm, armed = outputs.Outputs.arm, set()
+
+    def once(self, axis, position_qc):
+        writes = arm(self, axis, position_qc)
+        anew = (self, axis) in armed
+        armed.add((self, axis))
+        return [] if anew else writes
+
+    monkeypatch.setattr(outputs.Outputs, "arm", once)
+
+
+def tells_half_of_the_events(monkeypatch):
+    tell = outputs.Outputs._tell
+    monkeypatch.setattr(outputs.Outputs, "_tell", lambda self, armed, events: tell(
+        self, armed, list(events)[::2]
+    ))
+
+
+def arms_elsewhere(monkeypatch):
+    arm = outputs.Outputs.arm
+    monkeypatch.setattr(outputs.Outputs, "arm", lambda self, axis, position_qc: [
+        replace(write, data=(int.from_bytes(write.data, "little") + 3).to_bytes(4, "little"))
+        if (write.index, write.subindex) == (0x207A, 2) else write
+        for write in arm(self, axis, position_qc)
+    ])
+
+
 def brings_nobody_back(monkeypatch):
     monkeypatch.setattr(watch.Watch, "lost", lambda self: [])
 
@@ -126,6 +157,15 @@ BROKEN_DRIVERS = {
             killed_s=1.5,
         ),
     ),
+    does_not_arm_anew: (
+        "what is reported is what has fired",
+        Scenario(FIRING, (ENABLE, MOVE), (Trouble("power", 1, 0.2, 0, lasts_s=1.0),)),
+    ),
+    tells_half_of_the_events: (
+        "what is reported is what has fired",
+        Scenario(FIRING, (ENABLE, MOVE), ()),
+    ),
+    arms_elsewhere: ("outputs fire where they are to", Scenario(FIRING[:1], (ENABLE, MOVE), ())),
     does_not_let_go: ("a clean end", Scenario(MIXED, (ENABLE,), ())),
     brings_nobody_back: (
         "the way back",
