@@ -131,8 +131,10 @@ class Group:
                 self._on_echo(drive, frame, t_us)
             else:
                 self._on_frame(drive, frame, t_us)
-        elif echo and frame.can_id == epos2.TIME:
+        elif frame.can_id == epos2.TIME and echo:
             self.time.clock.reset(t_us)
+        elif frame.can_id in (epos2.SYNC, epos2.TIME):
+            self.time.disturbed()
 
     def _on_echo(self, drive: Drive, frame: Frame, t_us: float) -> None:
         function = frame.can_id & 0x780

@@ -174,6 +174,12 @@ class Timekeeper:
         early_us = EARLY_SHARE * self.period_us
         return always or sync_us >= min(about_us, self._round_due_us - early_us)
 
+    def disturbed(self) -> None:
+        """A SYNC or TIME of another host was on the bus: it has latched or set the drives' clocks,
+        so that a stamp of our last SYNC puts them wrong. What they were before does not count."""
+        self._forget()
+        self.clock.begin_anew()
+
     def on_asked(self, t_us: float) -> None:
         """The request to a drive for its clock was on the bus."""
         self._asked_us = t_us

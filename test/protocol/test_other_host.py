@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -9,15 +10,20 @@ from collections.abc import Callable, Iterator
 import can
 import numpy as np
 import pytest
+from campaign import Director
+from simulated_time import Bench, axes
 from two_processes import SCAN, Rig, rig
 
 from epos2_ros.bus.link import Link
+from epos2_ros.configuration.driver import DriverConfig
 from epos2_ros.errors import BusError
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.protocol.frame import Frame
 from epos2_ros.protocol.intake import Intake, Rejects
 from epos2_ros.protocol.other_host import OtherHost
+from epos2_ros.sim.epos2 import Epos2
 
+JOINTS = ("joint_1", "joint_2")
 NAMES = {1: "x (node 1)", 2: "y (node 2)"}
 HEARTBEAT = Frame(0x77F, b"\x05")
 COMMANDS = [
@@ -152,3 +158,26 @@ def test_a_host_that_appears_stops_all_until_it_is_gone(
     made.driver.reset_fault()
     made.driver.enable()
     assert made.snapshot().state == "standing"
+
+
+@pytest.mark.parametrize("after_s", [0.003, 0.03, 0.06])
+@pytest.mark.parametrize("frame", [Frame(0x080), Frame(0x100, bytes(6))])
+def test_the_clocks_are_known_again_after_the_sync_or_time_of_a_host_that_is_gone(
+    frame: Frame, after_s: float
+) -> None:
+    """In simulated time. It comes so long after one of ours: a slow drive, which has its time stamp
+    half a period after the SYNC, takes it for that of this one."""
+    drives = [Epos2(n, drift_ppm=drift, offset_us=1e6 * n) for n, drift in ((1, 80), (2, -190))]
+    bench = Bench(DriverConfig(axes=axes(2)), drives)
+    bench.enable()
+    stranger = Director()
+    bench.bus.add(stranger)  # type: ignore[arg-type]
+    bench.run(1.0)
+    at_us = next(t for t, sent, _ in reversed(bench.frames) if sent.can_id == 0x080)
+    at_us += 0.2e6 + after_s * 1e6
+    stranger.at(at_us, lambda _: stranger.outbox.append((frame.can_id, frame.data)))
+    bench.run(0.9)
+    ends = np.array([[0.0, 0.0], [0.2, -0.2]])
+    bench.path.submit(Trajectory(JOINTS, np.array([0.0, 1.5]), ends), None, bench.now_us)
+    bench.wait(bench.group.motion)  # type: ignore[arg-type]
+    assert [d.position_demand for d in drives] == [round(d * 2e5 / math.tau) for d in (0.2, -0.2)]
