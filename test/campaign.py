@@ -45,6 +45,7 @@ from epos2_ros.protocol.family import Family
 from epos2_ros.protocol.frame import Frame
 from epos2_ros.protocol.other_host import OtherHost
 from epos2_ros.protocol.phase import BEGUN, Phase
+from epos2_ros.sim import copley
 from epos2_ros.sim.cl3e import Cl3e
 from epos2_ros.sim.copley import Copley
 from epos2_ros.sim.epos2 import Dictionary, Epos2
@@ -509,9 +510,13 @@ class Stage(Bench):
                     self.host_wire.work.append(work)
                     self.later(min(10 * lasts_us, 3e6), lambda _: setattr(work, "left", 0))
                 case "emergency":
-                    if drive.powered and not isinstance(drive, Copley):
+                    if drive.powered:
                         drive.advance(t_us)
-                        drive.fail(self.chance.choice(EMERGENCIES))
+                        code = self.chance.choice(EMERGENCIES)
+                        if isinstance(drive, Copley):
+                            drive._latch(copley.FOLLOWING_ERROR_BIT, copley.FOLLOWING_ERROR)
+                        else:
+                            drive.fail(code)
                 case "silent":
                     drive.disconnect()
                     self.later(lasts_us, lambda _: drive.reconnect())

@@ -22,7 +22,7 @@ from epos2_ros.protocol.outputs.outputs import OutputEvent, Outputs
 from epos2_ros.protocol.path_watch import PathWatch, ProfilePathWatch, RecordPathWatch
 from epos2_ros.sim.copley import Copley
 
-KINDS = ("", "", "interval", "crossing")  # of an axis; "": none
+KINDS = (*[""] * 6, "interval", "crossing")  # of an axis; "": none
 START, INTERVAL, CROSSING = 0.003, 0.007, 0.02  # [unit]
 NEAR_QC = 5  # of where an axis was slow
 SLOW_QC = 4  # so far it goes, at most, from one look to the next where it is slow

@@ -119,7 +119,7 @@ class Group:
 
         Call `advance` afterwards.
         """
-        self._watch.listened(t_us)
+        self._watch.listened(t_us, echo)
         self._seen_us = t_us
         if frame.can_id == epos2.SYNC and echo is self.time.produces:
             self._on_sync(t_us)

@@ -34,9 +34,9 @@ class Watch:
 
     # ------------------------------------------------------------------ what was on the bus
 
-    def listened(self, t_us: float) -> None:
-        """There was a frame on the bus, whosoever's."""
-        self._silence.listened(t_us)
+    def listened(self, t_us: float, ours: bool) -> None:
+        """There was a frame on the bus, one of the host's own or anybody's."""
+        self._silence.listened(t_us, ours)
 
     def heard(self, drive: Drive, t_us: float) -> None:
         """It was this drive's."""

@@ -11,6 +11,7 @@ import random
 import re
 
 import pytest
+from campaign import Action, Axis, Scenario, Trouble, play
 from simulated_time import SDO_PATIENCE_US, Bench, axes
 from six_axes import all_stand, bench, there_and_back
 
@@ -51,6 +52,18 @@ def reason_of(made: Bench) -> str:
     said = [event.text for event in made.events if event.kind == "fault"]
     assert said[-1] == str(caught.value) == made.group.reason
     return str(caught.value)
+
+
+@pytest.mark.parametrize("lasts_s", [0.45, 0.55, 1.0, 3.0])
+@pytest.mark.parametrize("at_s", [0.3, 0.35, 0.41, 0.47])
+def test_no_drive_is_called_silent_for_a_host_that_did_not_ask_it(at_s, lasts_s):
+    """Two of these drives speak when asked only; the EPOS2 sends its heartbeat meanwhile."""
+    axes = Axis("epos2", 60.0, ""), Axis("copley", -60.0, ""), Axis("cl3e", 0.0, "")
+    stall = Trouble("stall", 0, at_s, 0, lasts_s=lasts_s)
+    stage = play(Scenario(axes, (Action("enable", 2.0),), (stall,)))
+    said = [event.text for event in stage.events if event.kind == "fault"]
+    assert not any("silent" in text for text in said), said
+    assert lasts_s < 0.5 or any("the host was not heard" in text for text in said)
 
 
 @pytest.mark.parametrize("after_s", [1.0, 1.05, 1.111, 1.199, 2.5])
