@@ -116,6 +116,10 @@ class Cia402Node:
         self.node.nmt.send_command(0x01)  # operational
         return objects.read(epos2.STATUSWORD)
 
+    def reset_node(self) -> None:
+        """The drive starts anew, with its stored parameters (NMT); `configure` waits for it."""
+        self.node.nmt.send_command(0x81)
+
     def watch_host(self) -> None:
         """The drive stops by itself when the host's heartbeat fails to appear, and sends its own.
 

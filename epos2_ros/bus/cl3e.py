@@ -65,6 +65,10 @@ class Cl3eSettings:
         )
 
 
+class _HalfConverted(DriveError):
+    """A drive's units are those in which nobody leaves it."""
+
+
 class Cl3eNode:
     """SDO access to one drive."""
 
@@ -77,7 +81,11 @@ class Cl3eNode:
 
     def configure(self) -> int:
         """Check identity, configure, go operational; the statusword the drive then has."""
-        return self._access.configure(self._write_objects)
+        try:
+            return self._access.configure(self._write_objects)
+        except _HalfConverted:
+            self._access.reset_node()
+            return self._access.configure(self._write_objects)
 
     def produce_sync(self, period_us: int) -> None:
         """DriveError: no CL3-E can send SYNC (it has no 0x1006)."""
@@ -161,7 +169,8 @@ class Cl3eNode:
         """0.01 rpm and 0.01 rpm/s where they can be set: a path needs finer ones than whole rpm.
 
         What the drive holds in these units is converted with them, so that it stays as fast as it
-        was. A host that fails amid that leaves a fraction that no drive has, and that is refused.
+        was. A host that fails amid that leaves a fraction that no drive has: then the drive is
+        reset, by which it has again what is stored in it.
         """
         counts = self.settings.counts_per_turn
         if self._objects.find(cl3e.UNIT_VELOCITY) is not None:
@@ -193,7 +202,7 @@ class Cl3eNode:
     def _expect(self, name: str, found: tuple[int, int], wanted: tuple[int, int]) -> None:
         """Two fractions are the same."""
         if found[0] * wanted[1] != found[1] * wanted[0] or 0 in found:
-            raise DriveError(
+            raise (_HalfConverted if found[0] == cl3e.HALF_WAY else DriveError)(
                 f"{self._access} has {found[0]}/{found[1]} in {name}; the driver takes "
                 f"{wanted[0]}/{wanted[1]} only, its preset: set it and store it, or switch the "
                 "drive off and on"
