@@ -61,7 +61,8 @@ def join(
         asked_s = trajectory.duration_s if len(trajectory.times_s) == 1 else 0.0
         point = trajectory.positions[-1]
         return current.followed_by(
-            _stream(current, point, axes, state, limits, at_ms, due_s, asked_s), at_ms
+            _stream(current, point, axes, state, limits, at_ms, due_s, asked_s, start_tolerance),
+            at_ms,
         )
     trajectory.check_rest()
     curve = _placed(trajectory, axes, state, limits, at_s, start_s)
@@ -125,6 +126,7 @@ def _stream(
     at_ms: int,
     due_s: float,
     asked_s: float,
+    near: float,
 ) -> Stream:
     """On to a streamed point: a further step, or a transition where that is not possible."""
     at_s = at_ms / 1000
@@ -145,7 +147,7 @@ def _stream(
         operator = stream.operator.sends(
             target, stream.target, state.position, limits, sent_s, asked_s
         )
-        going = stream.to(target, operator, limits, at_s, due_s)
+        going = stream.to(target, operator, limits, at_s, due_s, near)
         if going:
             return going
     same = partial(_same, current, state, False)

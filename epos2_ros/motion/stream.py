@@ -11,6 +11,9 @@ it comes to rest on the last. It lingers there, so that a further point needs no
 Where messages come late and in a bunch, their steps are begun one after another, a little faster
 than they were sent: the axes do not rush to where they would be. Nor where the operator is faster
 than the velocity limit: they follow at the limit, as long as they are not too far behind.
+
+Where no messages came for a while and the operator has gone on meanwhile, they make up for that way
+at the operator's own pace, beside what it goes on with: at twice its speed in all.
 """
 
 from __future__ import annotations
@@ -45,6 +48,10 @@ _PACE = 1.1 * _CATCH_UP  # and so much in a moment, steps being not quite even
 _BEHIND_S = 0.2  # and no more behind than this
 _KEPT_S = 0.4  # of the points that came, for the operator's pace
 _AHEAD_S = 0.4  # an operator may ask for so much more than the axes can do, at their fastest
+GAP_S = 0.25  # between two messages: in less an operator does not get far
+RESUMED_S = 10.0  # after so long it is another stream
+_PEAK = 15 / 8  # of a step's velocity, in its mean
+_LEAST_ROOM = 0.1  # share of the velocity limit for making up, where the operator takes all
 _INSTANTS = 100  # of the shortest step at which limits are looked at
 
 
@@ -172,14 +179,27 @@ class Stream:
             value += self.target - self.steps.sum(axis=0) - self._base_end
         return value
 
+    def resumed(self, place: Array, since_s: float) -> Stream:
+        """At rest at `place` [axes], where it has ended, on a path time whose zero is `since_s` of
+        its own: its operator may go on."""
+        sent_s = self.operator.sent_s - since_s
+        operator = replace(self.operator, sent_s=sent_s)
+        return replace(Stream.after(Curve.resting(place)), operator=operator)
+
     def to(
-        self, target: Array, operator: Operator, limits: Limits, at_s: float, due_s: float
+        self,
+        target: Array,
+        operator: Operator,
+        limits: Limits,
+        at_s: float,
+        due_s: float,
+        near: float = np.inf,
     ) -> Stream | None:
         """The same until `at_s`, then on to `target` [axes], the newest point of its `operator`,
         which is due at `due_s`.
 
         Takes longer where the limits need it, or the operator's own pace; None if that is not
-        enough.
+        enough. After a gap in its messages the operator has gone on where it is not `near` [unit].
         """
         step = target - self.target
         running = self._running(at_s, operator)
@@ -187,6 +207,8 @@ class Stream:
             least_s = float(self.starts_s[-1]) + operator.period_s / _CATCH_UP
             at_s = max(at_s, min(least_s, at_s + _BEHIND_S))
         shortest_s = running._duration_s(at_s, due_s)
+        if np.abs(step).max() > near:
+            shortest_s = max(shortest_s, self._made_up_s(step, operator, limits, due_s))
         stretches = [s for s in _STRETCHES if shortest_s * (s - 1) <= _LATE_S]
         most_v, most_a = limits.velocity * PLANNED_SHARE, limits.acceleration * PLANNED_SHARE
         pace = np.minimum(_PACE * operator.pace, most_v)
@@ -224,6 +246,20 @@ class Stream:
         if at_s + even_s > due_s + _SOON_S:
             even_s = max(_EVEN[1] * gap_s, _SHORTEST_S)
         return max(due_s - at_s, even_s)
+
+    def _made_up_s(self, step: Array, operator: Operator, limits: Limits, due_s: float) -> float:
+        """How long the step after a gap takes at the operator's pace; 0: there was none, or the
+        message says by itself how much time there is."""
+        sent_s = float(operator.sent_s[-1])
+        since_s = sent_s - float(self.operator.sent_s[-1]) if len(self.operator.sent_s) else 0.0
+        if since_s <= GAP_S or due_s - sent_s >= GAP_S:
+            return 0.0
+        before = self.operator.pace
+        pace = np.maximum(np.abs(step) / since_s, np.where(np.isfinite(before), before, 0.0))
+        most = limits.velocity * PLANNED_SHARE
+        room = np.minimum(pace, np.maximum(most - pace, _LEAST_ROOM * most))
+        moves = step != 0
+        return float(np.max(_PEAK * np.abs(step[moves]) / room[moves], initial=0.0))
 
     def _running(self, at_s: float, operator: Operator) -> Stream:
         """What of it is still going on at `at_s`, and what its operator has sent now."""

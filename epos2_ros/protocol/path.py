@@ -17,9 +17,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any
+
+import numpy as np
 
 from epos2_ros.configuration.driver import AxisConfig, DriverConfig
 from epos2_ros.errors import TrajectoryError
@@ -28,7 +30,7 @@ from epos2_ros.motion.join import join
 from epos2_ros.motion.limits import BEYOND_POINTS, Limits
 from epos2_ros.motion.reference import Motion, Reference
 from epos2_ros.motion.stop import stop
-from epos2_ros.motion.stream import HORIZON_S, Stream, is_streamed
+from epos2_ros.motion.stream import HORIZON_S, RESUMED_S, Stream, is_streamed
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.motion.units import AxisUnits
 from epos2_ros.protocol.drive import Drive
@@ -213,9 +215,13 @@ class PathCommander:
             case Way.WAIT:
                 if not self._in_motion:
                     return False
-                self.drop_waiting("another trajectory came before it began")
+                follows = self._waiting is not None and is_streamed(self._waiting[0].trajectory)
+                quiet = follows and is_streamed(placement.trajectory)
+                self.drop_waiting("another trajectory came before it began", quiet)
                 self._waiting = placement, execution
-                group.out.announce("waiting", "the trajectory waits for the axes to come to rest")
+                if not quiet:
+                    text = "the trajectory waits for the axes to come to rest"
+                    group.out.announce("waiting", text)
                 return True
         if reference.remark:
             group.out.announce("warning", f"{BEYOND_POINTS}: {reference.remark}")
@@ -307,9 +313,24 @@ class PathCommander:
                 rest = Reference.at_rest(self._units, there)
                 return self._placement(Way.APPROACH, trajectory, stamp_us, rest, HOLD_MS, HOLD_MS)
         rest = Reference.at_rest(self._units, here)
+        if is_streamed(trajectory) and (stream := self._left(here, now_us)) is not None:
+            rest = replace(rest, motions=(stream,))
         return self._placement(
             Way.BEGIN, trajectory, stamp_us, rest, HOLD_MS, start_ms, planned_start_us
         )
+
+    def _left(self, here: Sequence[float], now_us: float) -> Stream | None:
+        """The stream that the axes have come to rest at the end of, a moment ago; None: none."""
+        reference = self._interpolated.feeder.reference
+        path_ms = self._group.path_time.at_ms(now_us)
+        last = None if reference is None else reference.motions[-1]
+        if not isinstance(last, Stream) or path_ms is None:
+            return None
+        ago_s = path_ms / 1000 - last.end_s
+        there = zip(self._units, here, last.target.tolist(), strict=True)
+        if ago_s > RESUMED_S or any(abs(u.to_qc(a) - u.to_qc(b)) > 1 for u, a, b in there):
+            return None
+        return last.resumed(np.array(here), path_ms / 1000)
 
     def _take_over_ms(self, streamed: bool, now_us: float, lead_ms: int) -> int:
         """Path time at which what comes now takes over from the motion in progress."""
@@ -344,12 +365,14 @@ class PathCommander:
             and isinstance(reference.motions[-1], Stream)
         )
 
-    def drop_waiting(self, reason: str) -> None:
-        """What waits for the end of the motion in progress is not going to begin."""
+    def drop_waiting(self, reason: str, quiet: bool = False) -> None:
+        """What waits for the end of the motion in progress is not going to begin; `quiet`: the
+        log does not say so."""
         waiting, self._waiting = self._waiting, None
         if waiting is not None:
             text = f"cancelled before it began: {reason}"
-            self._group.out.announce("cancelled", text)
+            if not quiet:
+                self._group.out.announce("cancelled", text)
             waiting[1].give_up(text)
 
     def _placement(

@@ -15,7 +15,7 @@ import pytest
 from simulated_time import Bench, axes, drive_of, makers
 
 from epos2_ros.configuration.driver import DriverConfig
-from epos2_ros.errors import UnfinishedTrajectory
+from epos2_ros.errors import TrajectoryError, UnfinishedTrajectory
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.protocol.phase import Phase
 
@@ -113,8 +113,12 @@ def follow(
     stream_ahead: float = 0.14,
     late_s: Callable[[], float] = lambda: 0.0,
     delay_s: Callable[[], float] = lambda: 0.0,
+    gap_s: tuple[float, float] = (math.inf, math.inf),
 ) -> Run:
-    """The whole stream, and what comes after it; a host wakes up `late_s` late."""
+    """The whole stream, and what comes after it; a host wakes up `late_s` late.
+
+    Messages of the operator's times in `gap_s` are lost.
+    """
     config = DriverConfig(
         axes=makers(
             "epos2", "copley", max_velocity=MAX_VELOCITY, max_acceleration=MAX_ACCELERATION
@@ -129,6 +133,9 @@ def follow(
     run = Run(bench, zero_s=bench.now_us / 1e6)
     t_s = 0.0
     while t_s + form.ahead_s <= form.until_s + 1e-9:
+        if gap_s[0] < t_s < gap_s[1]:
+            t_s += form.period_s
+            continue
         at_s = run.zero_s + t_s + delay_s()
         if at_s * 1e6 > bench.now_us:
             bench.run(at_s - bench.now_us / 1e6)
@@ -207,6 +214,47 @@ def test_a_late_host_is_no_fault(form: Form) -> None:
 
     run = follow(form, late_s=late_s, delay_s=late_s)
     assert_followed(run, form.until_s, most=2.2)
+
+
+@pytest.mark.parametrize("gap_s", [0.3, 0.52, 1.5])
+@pytest.mark.parametrize("kind", [humble, jazzy])
+def test_after_a_gap_the_axes_follow_again_and_do_not_rush(
+    kind: Callable[[float, float], Form], gap_s: float
+) -> None:
+    """They rest meanwhile, and the operator gets far ahead. The drives may have to be started."""
+    form = kind(0.034, 1.0 + 3 * gap_s + 1.0)
+    run = follow(form, gap_s=(1.0, 1.0 + gap_s))
+    assert not run.refused
+    kinds = {event.kind for event in run.bench.events}
+    assert kinds <= {"started", "waiting", "done"}
+    t_s, speed = speeds(run)
+    # Not at the limit, 2 rad/s, but at the operator's own speed beside that with which it goes on,
+    # and somewhat more in a moment, as steps are not quite even.
+    assert np.abs(speed[:, 0]).max() <= 2.6 * SPEED
+    assert speed[:, 0].min() >= -0.02
+    _, path = run.positions()
+    assert path[-1] == pytest.approx(operator(form.until_s, form.until_s), abs=SPEED * 0.1)
+    assert run.rests_s() <= run.last_due_s + 0.2
+
+
+def test_of_an_operator_that_was_away_for_long_only_what_is_near_is_followed() -> None:
+    """It is a new stream then: points up to 0.4 s away at the velocity limit."""
+    bench = Bench(DriverConfig(axes=axes(1, max_velocity=MAX_VELOCITY)))
+    bench.enable()
+
+    def send(place: float) -> None:
+        point = Trajectory(JOINTS[:1], np.array([0.034]), np.array([[place]]), published=True)
+        bench.path.submit(point, None, bench.now_us)
+
+    send(0.1)
+    bench.run(9.0)
+    send(1.0)  # 0.1 rad/s on average
+    bench.run(20.0, lambda: bench.group.phase is Phase.STANDING)
+    assert bench.drives[0].position_demand == round(QC_PER_RAD)
+    bench.run(11.0)
+    with pytest.raises(TrajectoryError, match="joint 'joint_1': velocity .* allowed 2 rad/s"):
+        send(1.9)
+    send(1.7)
 
 
 def test_a_creeping_stream_that_rounding_leaves_no_way_is_a_warning_and_no_fault() -> None:
