@@ -8,6 +8,7 @@ import re
 import signal
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +17,8 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from planners import from_ruckig, from_toppra, planned_axes
 
 from epos2_ros.configuration.driver import DriverConfig
@@ -178,6 +181,34 @@ def test_an_axis_that_starts_late_fails(ran):
 def test_an_axis_that_does_not_arrive_fails(ran):
     ran.positions["j0"] += 0.6 / (TURN_QC / (2 * np.pi))
     assert [f.split(" qc")[0] for f in ran.report().failures()] == ["j0: final error 0.60"]
+
+
+@settings(deadline=None, max_examples=25)
+@given(
+    count=st.integers(-(2**31) + 2, 2**31 - 2),
+    scale=st.sampled_from([1.0, -100.0, 160.3]).map(lambda gear: gear * TURN_QC / (2 * np.pi)),
+    offset=st.floats(-100.0, 100.0),
+    side=st.sampled_from([-0.5, 0.5]),
+    beyond=st.sampled_from([0.0, 0.01]),
+)
+def test_at_rest_on_a_count_next_to_a_fractional_end_is_no_error(
+    count: int, scale: float, offset: float, side: float, beyond: float
+) -> None:
+    """Half a count is what whole ones leave, whatever a float makes of it; more is an error."""
+    with tempfile.TemporaryDirectory() as folder:
+        run = Run(Path(folder))
+        end = (count + (1 + 2 * beyond) * side) / scale + offset
+        run.scales = [replace(run.scales[0], qc_per_unit=scale, offset=offset)]
+        run.trajectory = trajectory(
+            [0.0, 2.0], [[end - TURN_QC / scale, 0], [end, 0]], velocities=[[0, 0], [0, 0]]
+        )
+        run.columns["node_1_demand_qc"] += (end - offset) * scale - TURN_QC
+        run.positions = {"j0": count / scale + offset}
+        out = io.StringIO()
+        report = run.report()
+        report.print(Terminal(out))
+    assert bool(report.failures()) == bool(beyond)
+    assert ("0.51!" if beyond else "0.50\n") in out.getvalue()
 
 
 def test_a_buffer_that_nearly_runs_dry_fails(ran):
