@@ -48,7 +48,8 @@ $(VENV)/.package: $(VENV)/.interpreter $(SOURCES)
 	echo "installing epos2_ros$$ros into $(VENV) (the first time about a minute)"; \
 	$(PIP) install -qq ".$$ros" || { echo "If pip found no ros-jazzy-… wheels: they are for\
  x86-64 Linux; elsewhere source a ROS 2 Jazzy installation, then run make again." >&2; exit 1; }
-	@$(VENV)/bin/python -c 'from epos2_ros.motion import knots, pace; knots.prepare(); pace.prepare()'  # as run here
+	@$(VENV)/bin/python -c 'from epos2_ros.motion import knots, pace, setpoint_search as s; \
+	  knots.prepare(); pace.prepare(); s.prepare()'  # as run here
 	@touch $@
 
 $(VENV)/.tools: setup.py | $(VENV)/.package

@@ -22,20 +22,25 @@ from typing import NamedTuple
 
 from epos2_ros.motion.compiled import Vector, compiled, room, vector
 
-SLOT_MS = 16  # states that end within one are compared
-CLASSES = 8  # of states: at rest, waiting, and six by how fast and how far they are
-HORIZON = 2  # of the longest set-points looked ahead
-FOUND = (
-    7  # numbers of a set-point: begin, end, target, velocity, acceleration, deceleration, passes
-)
-STATE = 4  # numbers of a state: path time, position, velocity, and from when on the next may end
 NEXT, WAITS, ENDED = 0, 1, 2  # what `find` finds
-_LENGTHS = 7
-_RAMPS = 5
-_SIDES = 5
-_ARRIVALS = 7
-_RATES = 8
-_TURNS = 3  # places of rest ahead that are tried
+STATE = 4  # numbers of a state: path time, position, velocity, and from when on the next may begin
+FOUND = 7  # numbers of a set-point, those of `SetPoint`
+PLANNED = 8  # set-points that are kept of a plan
+CLEAR_QC = 1.0
+"""So much before a target that is to be passed its velocity is reached: a drive that leaves from
+between two counts, or in another cycle, would else brake for it ("the bit 9 will get ignored")."""
+HORIZON = 3  # of the longest set-points looked ahead
+SLOT_MS = 16  # states that end within one are compared, by classes:
+RESTING, WAITING, PASSING, PLAN = 0, 1, 2, 8  # PASSING has six, by speed and place
+CLASSES = 9
+_OWN = -1  # that of these to which a state belongs
+_LENGTHS = 7  # of set-points whose targets are passed, the shortest that can be and longer ones,
+_SIDES = 5  # their ends beside the commanded curve,
+_RAMPS = 5  # and how much of them is ramp
+_ARRIVALS = 7  # of those that come to rest, times,
+_ARRIVES_MS = 16.0  # so far apart,
+_RATES = 8  # decelerations,
+_TURNS = 3  # and the next places where the commanded curve turns or rests
 _INSTANTS = 12  # at which an error is looked at
 _MISS_MS = 20.0  # a velocity that is off costs like a distance of what it does in this time
 
@@ -65,9 +70,24 @@ class Shape(NamedTuple):
     braking: float  # by what
 
 
+class _Ahead(NamedTuple):
+    """What is looked at, and the states found so far."""
+
+    positions: Vector  # commanded [qc], from where the committed set-point ends
+    aims: Aims
+    nodes: Vector
+    keys: Vector  # by which nodes of a class are compared
+    slots: int
+
+
 @compiled
-def shape(way: float, speed: float, velocity: float, up: float, down: float, passes: bool) -> Shape:
-    """What a drive makes of a set-point `way` ahead, begun with `speed`; all are not negative."""
+def shape(
+    way: float, speed: float, velocity: float, up: float, down: float, passes: float
+) -> Shape:
+    """What a drive makes of a set-point `way` ahead, begun with `speed`; all are not negative.
+
+    `passes`, here and elsewhere: 1 where its target is passed, 0 where it comes to rest there.
+    """
     none = Shape(-1.0, way, speed, 0.0, 0.0, 0.0, 0.0, 0.0)
     if way <= 0.0 or speed * speed > 2 * down * way * (1 - 1e-9):
         return none
@@ -148,8 +168,10 @@ def _following(
     return total * step
 
 
-NODE = 4 + FOUND + 2
-_COST, _BEFORE = 4 + FOUND, 5 + FOUND
+NODE = STATE + FOUND + 2
+_FOUND, _COST, _BEFORE = STATE, STATE + FOUND, STATE + FOUND + 1
+# A node: the state at its end, the set-point that leads there (one that begins before everything
+# where it is a wait), what all of it costs, and the node it begins at.
 
 
 @compiled
@@ -159,6 +181,7 @@ def _keep(
     at = index * NODE
     nodes[at], nodes[at + 1], nodes[at + 2], nodes[at + 3] = t, p, v, ready
     nodes[at + _COST], nodes[at + _BEFORE] = cost, before
+    nodes[at + _FOUND] = -1.0
 
 
 @compiled
@@ -169,78 +192,128 @@ def _slot(end: int, before: int, slots: int) -> int:
 
 
 @compiled
-def _offer(
-    positions: Vector,
+def _allowed(
     aims: Aims,
-    nodes: Vector,
-    keys: Vector,
-    slots: int,
+    p: float,
+    v: float,
+    target: float,
+    velocity: float,
+    up: float,
+    down: float,
+    passes: float,
+) -> Shape:
+    """What a drive makes of a set-point from a state on; its duration is −1 where it can't be."""
+    none = Shape(-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    if not (1 <= velocity <= aims.fastest and 1 <= up <= aims.steepest):
+        return none
+    if not 1 <= down <= aims.steepest:
+        return none
+    speed = v * aims.velocity_unit if target > p else -v * aims.velocity_unit
+    if speed < 0.0:
+        return none
+    fast, rate = velocity * aims.velocity_unit, down * aims.rate_unit
+    of = shape(abs(target - p), speed, fast, up * aims.rate_unit, rate, passes)
+    if passes and of.duration > 2 * aims.longest:
+        return none
+    if passes and of.duration >= 0.0 and _brakes_alone(of, rate) < aims.feeding:
+        return none
+    if passes and of.way - (of.speed + of.top) / 2 * of.ramp < CLEAR_QC:
+        return none
+    return of
+
+
+@compiled
+def _miss(ahead: _Ahead, t: int, p: float, v: float) -> float:
+    """What it costs that a state is not on the commanded curve."""
+    positions, aims = ahead.positions, ahead.aims
+    astray = p - _commanded(positions, t)
+    pace = (_commanded(positions, t + 1) - _commanded(positions, t - 1)) / 2
+    hurry = v * aims.velocity_unit - pace
+    return aims.feeding * (_fourth(astray) + _fourth(hurry * _MISS_MS)) / 2
+
+
+@compiled
+def _wait(ahead: _Ahead, before: int, begin: int, kind: int) -> int:
+    """Stand from a state on until `begin`; returns the node, −1 if a better one is known."""
+    at, slot = before * NODE, _slot(begin, before, ahead.slots)
+    t, p, cost = int(ahead.nodes[at]), ahead.nodes[at + 1], ahead.nodes[at + _COST]
+    index = slot * CLASSES + kind
+    cost += _standing(ahead.positions, t, begin, p)
+    key = cost / begin if slot == ahead.slots - 1 else cost
+    if key >= ahead.keys[index]:
+        return -1
+    ahead.keys[index] = key
+    _keep(ahead.nodes, index, cost, before, begin, p, 0.0, begin)
+    return index
+
+
+@compiled
+def _offer(
+    ahead: _Ahead,
     before: int,
     begin: int,
     target: float,
     velocity: float,
     up: float,
     down: float,
-    passes: bool,
-) -> None:
-    """A set-point from a state on; all but `target` in whole units. Kept if none of its class is
-    better."""
+    passes: float,
+    kind: int,
+) -> int:
+    """A set-point from a state on, in whole units; returns its node.
+
+    −1: it can't be, or a better one of its class is known.
+    """
+    positions, aims, nodes, keys, slots = ahead
     at = before * NODE
     p, v, so_far = nodes[at + 1], nodes[at + 2], nodes[at + _COST]
-    if not (1 <= velocity <= aims.fastest and 1 <= up <= aims.steepest):
-        return
-    if not 1 <= down <= aims.steepest:
-        return
-    sign = 1.0 if target > p else -1.0
-    speed = v * sign * aims.velocity_unit
-    if speed < 0.0:
-        return
-    fast, rate = velocity * aims.velocity_unit, down * aims.rate_unit
-    of = shape(abs(target - p), speed, fast, up * aims.rate_unit, rate, passes)
+    of = _allowed(aims, p, v, target, velocity, up, down, passes)
     if of.duration < 0.0:
-        return
-    if passes and (of.duration > 2 * aims.longest or _brakes_alone(of, rate) < aims.feeding):
-        return
+        return -1
+    sign = 1.0 if target > p else -1.0
     ms = int(ceil(of.duration - 1e-9))
     end = begin + ms
     slot = _slot(end, before, slots)
     p1 = p + sign * place(of, float(ms))
     v1 = sign * velocity if passes else 0.0
     astray = p1 - _commanded(positions, end)
-    hurry = (
-        v1 * aims.velocity_unit
-        - (_commanded(positions, end + 1) - _commanded(positions, end - 1)) / 2
+    hurry = v1 * aims.velocity_unit - (
+        (_commanded(positions, end + 1) - _commanded(positions, end - 1)) / 2
     )
-    kind = 0
-    if passes:
-        level = max(aims.velocity_unit, 0.02 * fast)
-        kind = 2 + (1 if astray > 0.0 else 0) + (0 if hurry < -level else 2 if hurry < level else 4)
+    if kind == _OWN and not passes:
+        kind = RESTING
+    elif kind == _OWN:
+        level = max(aims.velocity_unit, 0.02 * of.top)
+        kind = PASSING + (1 if astray > 0.0 else 0)
+        kind += 0 if hurry < -level else 2 if hurry < level else 4
     index = slot * CLASSES + kind
     mean = 1.0 / end if slot == slots - 1 else 1.0
-    left = aims.feeding * (_fourth(astray) + _fourth(hurry * _MISS_MS)) / 2
+    left = _miss(ahead, end, p1, v1)
     most = keys[index] / mean - so_far - left
     if most <= 0.0:
-        return
+        return -1
     cost = _following(positions, begin, p, sign, of, most)
-    if cost < most:
-        keys[index] = (so_far + cost + left) * mean
-        _keep(nodes, index, so_far + cost, before, end, p1, v1, begin + aims.feeding)
-        to = index * NODE + 4
-        nodes[to], nodes[to + 1], nodes[to + 2], nodes[to + 3] = begin, end, target, velocity
-        nodes[to + 4], nodes[to + 5], nodes[to + 6] = up, down, 1.0 if passes else 0.0
+    if cost >= most:
+        return -1
+    keys[index] = (so_far + cost + left) * mean
+    _keep(nodes, index, so_far + cost, before, end, p1, v1, begin + aims.feeding)
+    to = index * NODE + _FOUND
+    nodes[to], nodes[to + 1], nodes[to + 2], nodes[to + 3] = begin, end, target, velocity
+    nodes[to + 4], nodes[to + 5], nodes[to + 6] = up, down, passes
+    return index
 
 
 @compiled
-def _pass(
-    positions: Vector, aims: Aims, nodes: Vector, keys: Vector, slots: int, node: int, begin: int
-) -> None:
+def _pass(ahead: _Ahead, node: int, begin: int) -> None:
     """Set-points from a state whose targets are passed."""
+    positions, aims, nodes = ahead.positions, ahead.aims, ahead.nodes
     at = node * NODE
     p, v = nodes[at + 1], nodes[at + 2]
     unit, rate_unit = aims.velocity_unit, aims.rate_unit
-    least = aims.feeding
+    soon = int(aims.feeding)
+    pace = abs(_commanded(positions, begin + soon) - _commanded(positions, begin)) / soon
+    least = aims.feeding + max(abs(v) * unit, pace) / (2 * aims.steepest * rate_unit) + 2.0
     for length in range(_LENGTHS):
-        ms = floor(least * (aims.longest / least) ** (length / (_LENGTHS - 1)) + 0.5)
+        ms = floor(least * (max(aims.longest / least, 1.5)) ** (length / (_LENGTHS - 1)) + 0.5)
         goal, half = _commanded(positions, begin + ms), _commanded(positions, begin + ms // 2)
         bend = abs(_commanded(positions, begin) - 2 * half + goal)
         for side in range(_SIDES):
@@ -250,120 +323,74 @@ def _pass(
             speed = v * sign * unit
             if way <= 0.0:
                 continue
+            surplus = speed * ms - way
+            gentlest = max(speed * speed / (2 * way), 2 * surplus / (ms * ms)) / rate_unit
+            gentlest = max(1.0, ceil(gentlest + 1e-6))
+            if surplus > 0.0 and gentlest > aims.steepest:
+                continue
             for part in range(_RAMPS):
-                ramp = (ms - 1) * part / (_RAMPS - 1)
-                fast = floor((way - speed * ramp / 2) / (ms - ramp / 2) / unit + 0.5)
-                fast = min(max(fast, 1.0), aims.fastest)
-                velocity = fast * unit
-                rate = aims.steepest
-                if velocity != speed and velocity * ms != way:
-                    ramp = 2 * (velocity * ms - way) / (velocity - speed)
-                    if 0.0 < ramp <= ms:
-                        rate = ceil(abs(velocity - speed) / ramp / rate_unit - 1e-9)
+                if surplus > 0.0:
+                    rate = gentlest * (aims.steepest / gentlest) ** (part / (_RAMPS - 1))
+                    rate = min(1.0 * ceil(rate), aims.steepest)
+                    root = ms * ms - 2 * surplus / (rate * rate_unit)
+                    fast = (speed - rate * rate_unit * (ms - sqrt(max(root, 0.0)))) / unit
+                    fast = min(max(floor(fast + 0.5), 1.0), aims.fastest)
+                else:
+                    ramp = (ms - 1) * part / (_RAMPS - 1)
+                    fast = floor((way - speed * ramp / 2) / (ms - ramp / 2) / unit + 0.5)
+                    fast = min(max(fast, 1.0), aims.fastest)
+                    rate = aims.steepest
+                    if fast * unit > speed and fast * unit * ms > way:
+                        ramp = min(2 * (fast * unit * ms - way) / (fast * unit - speed), ms - 1.0)
+                        rate = ceil((fast * unit - speed) / ramp / rate_unit - 1e-9)
                         rate = min(max(rate, 1.0), aims.steepest)
-                slows = velocity < speed
-                if slows:
-                    rate = max(rate, ceil(speed * speed / (2 * way) / rate_unit))
-                    if rate > aims.steepest:
-                        continue
-                up, down = (aims.steepest, rate) if slows else (rate, aims.steepest)
+                velocity = fast * unit
+                up, down = (aims.steepest, rate) if velocity < speed else (rate, aims.steepest)
                 ramp = abs(velocity - speed) / (rate * rate_unit)
                 x = (speed + velocity) / 2 * ramp + velocity * max(ms - 0.5 - ramp, 0.0)
-                target = floor(p + sign * x + 0.5)
-                _offer(
-                    positions, aims, nodes, keys, slots, node, begin, target, fast, up, down, True
-                )
+                target = 1.0 * floor(p + sign * x + 0.5)
+                _offer(ahead, node, begin, target, fast, up, down, 1.0, _OWN)
 
 
 @compiled
-def _arrive(
-    positions: Vector,
-    aims: Aims,
-    nodes: Vector,
-    keys: Vector,
-    slots: int,
-    node: int,
-    begin: int,
-    target: float,
-    at_ms: int,
-) -> None:
+def _arrive(ahead: _Ahead, node: int, begin: int, target: float, at_ms: int) -> None:
     """Set-points from a state that come to rest at `target`, at about `at_ms`."""
-    at = node * NODE
-    p, v = nodes[at + 1], nodes[at + 2]
-    if target == p:
-        return
+    aims, at = ahead.aims, node * NODE
+    p, v = ahead.nodes[at + 1], ahead.nodes[at + 2]
     sign = 1.0 if target > p else -1.0
     unit, rate_unit = aims.velocity_unit, aims.rate_unit
     way, speed = abs(target - p), v * sign * unit
     steepest = aims.steepest * rate_unit
-    if speed < 0.0 or speed * speed > 2 * steepest * way:
+    if target == p or speed < 0.0 or speed * speed > 2 * steepest * way:
         return
-    soonest = shape(way, speed, max(speed, aims.fastest * unit), steepest, steepest, False)
+    top = max(speed, aims.fastest * unit)
+    soonest = shape(way, speed, top, steepest, steepest, 0.0).duration
+    gentlest = max(speed * speed / (2 * way) / rate_unit, 1.0)
     for arrival in range(_ARRIVALS):
-        ms = at_ms - begin + (arrival - _ARRIVALS // 2) * 16.0
-        ms = max(ms, soonest.duration * (1 + arrival * 0.1))
-        least = max(speed * speed / (2 * way), rate_unit)
+        ms = at_ms - begin + (arrival - _ARRIVALS // 2) * _ARRIVES_MS
+        ms = max(ms, soonest * (1 + arrival / 10))
         for step in range(_RATES):
-            down = least * (steepest / least) ** ((step + 0.5) / _RATES)
-            down = ceil(down / rate_unit) * rate_unit
-            rates = aims.steepest
-            left = ms - speed / down
-            if left > 0.0 and (way - speed * speed / (2 * down)) <= speed * left:
-                velocity = (way - speed * speed / (2 * down)) / left
-                _offer(
-                    positions,
-                    aims,
-                    nodes,
-                    keys,
-                    slots,
-                    node,
-                    begin,
-                    target,
-                    max(1.0, floor(velocity / unit + 0.5)),
-                    rates,
-                    down / rate_unit,
-                    False,
-                )
+            down = 1.0 * ceil(
+                gentlest * (aims.steepest / gentlest) ** ((step + 0.5) / _RATES) - 1e-9
+            )
+            rate = down * rate_unit
+            left, held = ms - speed / rate, way - speed * speed / (2 * rate)
+            if 0.0 <= held <= speed * left:
+                fast = max(1.0, floor(held / left / unit + 0.5))
+                up = aims.steepest
+                _offer(ahead, node, begin, target, fast, up, down, 0.0, _OWN)
                 continue
             for part in range(1, _RAMPS):
                 ramp = ms * part / _RAMPS
                 flat = ms - ramp / 2
-                root = flat * flat - 2 * (way - speed * ramp / 2) / down
+                root = flat * flat - 2 * (way - speed * ramp / 2) / rate
                 if root < 0.0:
                     continue
-                velocity = down * (flat - sqrt(root))
-                fast = max(1.0, floor(velocity / unit + 0.5))
-                rates = max(1.0, floor((fast * unit - speed) / ramp / rate_unit + 0.5))
-                _offer(
-                    positions,
-                    aims,
-                    nodes,
-                    keys,
-                    slots,
-                    node,
-                    begin,
-                    target,
-                    fast,
-                    rates,
-                    down / rate_unit,
-                    False,
-                )
-    if speed > 0.0:
-        return
-    _offer(
-        positions,
-        aims,
-        nodes,
-        keys,
-        slots,
-        node,
-        begin,
-        target,
-        aims.fastest,
-        aims.steepest,
-        aims.steepest,
-        False,
-    )
+                fast = max(1.0, floor(rate * (flat - sqrt(root)) / unit + 0.5))
+                up = max(1.0, floor((fast * unit - speed) / ramp / rate_unit + 0.5))
+                _offer(ahead, node, begin, target, fast, up, down, 0.0, _OWN)
+    fast = max(abs(v), 1.0) if speed > 0.0 else aims.fastest
+    _offer(ahead, node, begin, target, fast, aims.steepest, aims.steepest, 0.0, _OWN)
 
 
 @compiled
@@ -386,96 +413,112 @@ def _turns(positions: Vector, end: int, found: Vector) -> int:
 
 
 @compiled
-def find(positions: Vector, end: int, given: Vector, state: Vector, found: Vector) -> int:
-    """Put the next set-point into `found` and the state at its end into `state`: NEXT.
+def _replay(ahead: _Ahead, first: int, now: int, plan: Vector) -> None:
+    """What was planned before is a way on, too; the state has come to the end of its first."""
+    node = first
+    for entry in range(1, int(plan[0])):
+        at = 1 + entry * FOUND
+        begin = int(plan[at]) - now
+        if begin > ahead.nodes[node * NODE]:
+            node = _wait(ahead, node, begin, PLAN)
+        if node < 0 or begin != ahead.nodes[node * NODE]:
+            break
+        velocity, up, down = plan[at + 3], plan[at + 4], plan[at + 5]
+        passes = plan[at + 6]
+        node = _offer(ahead, node, begin, plan[at + 2], velocity, up, down, passes, PLAN)
+        if node < 0:
+            break
 
-    WAITS: it is best to stand for two more SYNC periods at least. ENDED: there is none any more,
-    the drive stands where the curve ends. `positions` begin at the state's time, and `end` counts
-    from there; the curve rests from then on.
+
+@compiled
+def _go_on(ahead: _Ahead, node: int, now: int, end: int, turns: Vector, count: int) -> None:
+    """All ways on from a state."""
+    aims, at = ahead.aims, node * NODE
+    t, p, v = int(ahead.nodes[at]), ahead.nodes[at + 1], ahead.nodes[at + 2]
+    ready = ahead.nodes[at + 3]
+    if v == 0.0:
+        sync = floor((now + max(float(t), ready - 1e-6)) / aims.sync) + 1
+        _wait(ahead, node, int(floor(sync * aims.sync + 0.5)) - now, WAITING)
+        if t < ready:
+            return
+    else:
+        speed, steepest = abs(v) * aims.velocity_unit, aims.steepest * aims.rate_unit
+        way = speed * speed / (2 * steepest)
+        target = floor(p + way) + 1.0 if v > 0.0 else ceil(p - way) - 1.0
+        _offer(
+            ahead, node, t, target, abs(v), aims.steepest, aims.steepest, 0.0, _OWN
+        )  # whatever comes, it can come to rest
+    _pass(ahead, node, t)
+    tried = 0
+    for i in range(count):
+        if turns[i] > t and tried < _TURNS:
+            tried += 1
+            target = 1.0 * floor(_commanded(ahead.positions, int(turns[i])) + 0.5)
+            _arrive(ahead, node, t, target, int(turns[i]))
+    if end <= t:
+        _arrive(ahead, node, t, 1.0 * floor(_commanded(ahead.positions, end) + 0.5), t)
+
+
+@compiled
+def find(positions: Vector, end: int, given: Vector, state: Vector, plan: Vector) -> int:
+    """Put what is to come into `plan` and the state at the end of its first set-point into `state`.
+
+    NEXT: there is one. WAITS: it is best to stand for two more SYNC periods at least. ENDED: there
+    is none any more, the drive stands where the curve ends. `positions` begin at the state's time,
+    and `end` counts from there; the curve rests from then on. `plan` is that of the last call.
     """
     aims = Aims(given[0], given[1], given[2], given[3], given[4], given[5], given[6])
     now = int(state[0])
     slots = int(HORIZON * aims.longest) // SLOT_MS + 1
-    nodes = room((slots * CLASSES + 1) * NODE)
-    keys = room(slots * CLASSES)
-    for i in range(slots * CLASSES):
+    first = slots * CLASSES
+    nodes, keys = room((first + 1) * NODE), room(first)
+    for i in range(first):
         keys[i] = inf
     turns = room(64)
     count = _turns(positions, end, turns)
+    ahead = _Ahead(positions, aims, nodes, keys, slots)
     rest = floor(_commanded(positions, end) + 0.5)
-    first = slots * CLASSES
     _keep(nodes, first, 0.0, -1, 0.0, state[1], state[2], state[3] - now)
+    _replay(ahead, first, now, plan)
     best, least = -1, inf
     for entry in range(-1, (slots - 1) * CLASSES):
         node = first if entry < 0 else entry
         if entry >= 0 and keys[node] == inf:
             continue
         at = node * NODE
-        t, p, v, cost = int(nodes[at]), nodes[at + 1], nodes[at + 2], nodes[at + _COST]
-        ready = nodes[at + 3]
-        if v == 0.0:
-            if p == rest and t < len(positions):
-                total = cost + _standing(positions, t, max(end, t), p)
-                mean = total / max(end, slots * SLOT_MS)
-                if mean < least:
-                    best, least = node, mean
-            wait = (floor((now + max(t, ready - 1e-6)) / aims.sync) + 1) * aims.sync - now
-            begin = int(floor(wait + 0.5))
-            slot = _slot(begin, node, slots)
-            index = slot * CLASSES + 1
-            total = cost + _standing(positions, t, begin, p)
-            key = total / begin if slot == slots - 1 else total
-            if key < keys[index]:
-                keys[index] = key
-                _keep(nodes, index, total, node, begin, p, 0.0, begin)
-                nodes[index * NODE + 4] = -1.0
-            if t < ready:
-                continue
-        _pass(positions, aims, nodes, keys, slots, node, t)
-        tried = 0
-        for i in range(count):
-            if turns[i] > t and tried < _TURNS:
-                tried += 1
-                target = floor(_commanded(positions, int(turns[i])) + 0.5)
-                _arrive(positions, aims, nodes, keys, slots, node, t, target, int(turns[i]))
-        if end <= t:
-            _arrive(positions, aims, nodes, keys, slots, node, t, rest, t)
-        if v != 0.0:
-            speed = abs(v) * aims.velocity_unit
-            way = speed * speed / (2 * aims.steepest * aims.rate_unit)
-            target = floor(p + way) + 1 if v > 0.0 else ceil(p - way) - 1
-            _offer(
-                positions,
-                aims,
-                nodes,
-                keys,
-                slots,
-                node,
-                t,
-                target,
-                abs(v),
-                aims.steepest,
-                aims.steepest,
-                False,
-            )
+        t, p = int(nodes[at]), nodes[at + 1]
+        if nodes[at + 2] == 0.0 and p == rest and t < len(positions):
+            total = nodes[at + _COST] + _standing(positions, t, max(end, t), p)
+            mean = total / max(end, slots * SLOT_MS)
+            if mean < least:
+                best, least = node, mean
+        _go_on(ahead, node, now, end, turns, count)
     for kind in range(CLASSES):
         node = (slots - 1) * CLASSES + kind
         if keys[node] < least:
             best, least = node, keys[node]
     ended = nodes[best * NODE + 1] == rest and end <= len(positions)
-    chosen = -1
+    known, chosen, at = 0, -1, best
+    while at != first:
+        if nodes[at * NODE + _FOUND] >= 0.0:
+            known, chosen = known + 1, at
+        at = int(nodes[at * NODE + _BEFORE])
+    plan[0] = min(known, PLANNED)
     while best != first:
-        if nodes[best * NODE + 4] >= 0.0:
-            chosen = best
+        if nodes[best * NODE + _FOUND] >= 0.0:
+            known -= 1
+            if known < PLANNED:
+                to = 1 + known * FOUND
+                for i in range(FOUND):
+                    plan[to + i] = nodes[best * NODE + _FOUND + i]
+                plan[to] += now
+                plan[to + 1] += now
         best = int(nodes[best * NODE + _BEFORE])
     if chosen < 0:
         return ENDED if ended else WAITS
-    if nodes[chosen * NODE + 4] > max(0.0, state[3] - now) + 2 * aims.sync:
+    if plan[1] - now > max(0.0, state[3] - now) + 2 * aims.sync:
+        plan[0] = 0.0
         return WAITS
-    for i in range(FOUND):
-        found[i] = nodes[chosen * NODE + 4 + i]
-    found[0] += now
-    found[1] += now
     for i in range(STATE):
         state[i] = nodes[chosen * NODE + i]
     state[0] += now
@@ -484,26 +527,18 @@ def find(positions: Vector, end: int, given: Vector, state: Vector, found: Vecto
 
 
 @compiled
-def astray(
-    positions: Vector, begin: int, p: float, v: float, given: Vector, found: Vector
-) -> float:
-    """The largest distance from the commanded curve, at every millisecond to a set-point's end.
+def astray(positions: Vector, begin: int, p: float, v: float, given: Vector, plan: Vector) -> float:
+    """The largest distance from the commanded curve, at every millisecond of the next set-point.
 
     The drive is at `p` with `v` at path time `begin`, with which `positions` begin, too.
     """
-    sign = 1.0 if found[2] > p else -1.0
-    down, passes = found[5] * given[1], found[6] != 0.0
-    of = shape(
-        abs(found[2] - p),
-        v * sign * given[0],
-        found[3] * given[0],
-        found[4] * given[1],
-        down,
-        passes,
-    )
+    since, end, target, velocity, up, down, passes = plan[1:8]
+    sign = 1.0 if target > p else -1.0
+    way, speed, rate = abs(target - p), v * sign * given[0], down * given[1]
+    of = shape(way, speed, velocity * given[0], up * given[1], rate, passes)
     most = 0.0
-    for k in range(begin, int(found[1]) + 1):
-        x = p + sign * place(of, max(0.0, k - found[0]))
+    for k in range(begin, int(end) + 1):
+        x = p + sign * place(of, max(0.0, k - since))
         most = max(most, abs(x - _commanded(positions, k - begin)))
     return most
 
@@ -518,9 +553,14 @@ def state_at_rest(position_qc: float) -> Vector:
     return vector((0.0, position_qc, 0.0, 0.0))
 
 
+def no_plan() -> Vector:
+    """A plan of nothing; else how many set-points it has, and their numbers."""
+    return vector([0.0] * (1 + PLANNED * FOUND))
+
+
 def prepare() -> None:
     """Compile this module, or load what an earlier run has compiled, before time matters."""
-    aims, found = vector((1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 32.0)), vector([0.0] * FOUND)
+    aims, plan = vector((1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 32.0)), no_plan()
     still = vector([0.0] * horizon_ms(32))
-    find(still, 0, aims, state_at_rest(0.0), found)
-    astray(still, 0, 0.0, 0.0, aims, found)
+    find(still, 0, aims, state_at_rest(0.0), plan)
+    astray(still, 0, 0.0, 0.0, aims, vector([1.0] * len(plan)))

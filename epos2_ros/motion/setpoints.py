@@ -85,13 +85,14 @@ class SetPointFitter:
         """Whether `next` has found that there is no further set-point."""
         self._reference: Reference | None = None
         self._state = search.state_at_rest(0.0)
+        self._plan = search.no_plan()
         self._samples: NDArray[np.float64] = np.empty(0)  # commanded positions [qc]
         self._first_ms = 0  # where they begin
         search.prepare()
 
     def begin(self, reference: Reference, position_qc: int) -> None:
         """A new motion from rest at `position_qc`; path time 0 is its start SYNC."""
-        self._state = search.state_at_rest(float(position_qc))
+        self._state, self._plan = search.state_at_rest(float(position_qc)), search.no_plan()
         self.due_ms, self.error_qc, self.ended = -inf, 0.0, False
         self.replace(reference)
 
@@ -120,14 +121,14 @@ class SetPointFitter:
             self._state[3] = max(self._state[3], path_ms + self.axis.feeding_ms)
         begin_ms, position, velocity = self.committed_ms, self._state[1], self._state[2]
         commanded = self._sample(reference, begin_ms + search.horizon_ms(self.longest_ms))
-        aims, found = self._aims(), search.vector([0.0] * search.FOUND)
-        match search.find(commanded, reference.end_ms - begin_ms, aims, self._state, found):
+        aims, plan = self._aims(), self._plan
+        match search.find(commanded, reference.end_ms - begin_ms, aims, self._state, plan):
             case search.NEXT:
-                error_qc = search.astray(commanded, begin_ms, position, velocity, aims, found)
+                error_qc = search.astray(commanded, begin_ms, position, velocity, aims, plan)
                 self.error_qc = max(self.error_qc, error_qc)
-                self.due_ms = found[0]
-                begin, end, target, velocity, up, down = (int(x) for x in found[:6])
-                return SetPoint(begin, end, target, velocity, up, down, bool(found[6]))
+                self.due_ms = plan[1]
+                begin, end, target, velocity, up, down = (int(x) for x in plan[1:7])
+                return SetPoint(begin, end, target, velocity, up, down, bool(plan[7]))
             case search.ENDED:
                 self._stand(reference, max(begin_ms, reference.end_ms))
                 self.ended, self.due_ms = True, inf

@@ -4,15 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from math import inf
+from random import Random
 
 import numpy as np
 import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 from numpy.typing import NDArray
-from trajectories import axes_of, curve_of, example
+from trajectories import axes_of, curve_of, example, trajectories
 
+from epos2_ros.motion.join import join
+from epos2_ros.motion.limits import Limits
 from epos2_ros.motion.reference import Reference
 from epos2_ros.motion.setpoints import SetPoint, SetPointAxis, SetPointFitter
+from epos2_ros.motion.stop import stop
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.motion.units import AxisUnits
 from epos2_ros.sim import ramps
@@ -139,6 +146,11 @@ def check(
         assert min(point.velocity, point.acceleration, point.deceleration) >= 1
 
 
+def until_ms(reference: Reference, points: Sequence[SetPoint]) -> int:
+    """When all is over."""
+    return max([reference.end_ms, *(point.end_ms for point in points)]) + 5
+
+
 def reference_of(trajectory: Trajectory) -> Reference:
     units = tuple(AxisUnits.of(axis) for axis in axes_of(trajectory.joint_names))
     return Reference(units, (curve_of(trajectory),))
@@ -147,12 +159,113 @@ def reference_of(trajectory: Trajectory) -> Reference:
 @pytest.mark.parametrize("name", ["pick_place", "jerk_limited"])
 @pytest.mark.parametrize("column", [0, 3])
 def test_an_axis_of_an_example(name: str, column: int) -> None:
+    """The joints turn up to 2 rad/s and 4 rad/s² (31,831 counts/rad)."""
     reference = reference_of(example(name))
-    axis = axis_of(160_000.0, 1_000_000.0)
+    axis = axis_of(3.0 * 31_831, 12.5 * 31_831)
     fitter = SetPointFitter(axis, column)
     fitter.begin(reference, 0)
     points = followed(fitter)
-    until_ms = max(reference.end_ms, points[-1].end_ms) + 5
-    made = drive_executes(0, points, axis, lambda: FEEDING_MS - 2, until_ms)
+    made = drive_executes(0, points, axis, lambda: FEEDING_MS - 2, until_ms(reference, points))
     check(points, made, reference, column, axis, fitter.error_qc)
-    assert fitter.error_qc < 200.0
+    assert fitter.error_qc < 0.005 * 31_831
+    assert sum(not point.passes for point in points) <= 6, "it stops where the curve moves"
+
+
+@settings(max_examples=12, deadline=None)
+@given(
+    trajectory=trajectories(kinds=("velocities", "accelerations"), joints=("a",), points=(2, 4)),
+    share=st.sampled_from([1.0, 0.1]),
+    handshakes=st.randoms(use_true_random=False),
+    replaced=st.sampled_from(["", "stop", "other"]),
+    asked=st.integers(0, 20),
+)
+def test_any_motion_is_made_as_it_was_said(
+    trajectory: Trajectory, share: float, handshakes: Random, replaced: str, asked: int
+) -> None:
+    """However late within its time the host is, and what the motion is replaced by."""
+    axes = axes_of(("a",), max_velocity=20.0, max_acceleration=60.0)
+    limits, scale = Limits.of(axes), 31_831
+    assume(_within(trajectory, limits))
+    rest = Reference.at_rest([AxisUnits.of(axes[0])], trajectory.positions[0])
+    reference = join(rest, trajectory, limits, at_ms=1, start_ms=1)
+    start_qc = round(float(rest.positions(np.array([0]))[0, 0]))
+    axis = axis_of(20.0 * scale, 75.0 * scale, share)
+    fitter = SetPointFitter(axis, 0)
+    fitter.begin(reference, start_qc)
+    points: list[SetPoint] = []
+    while not fitter.ended:
+        if (point := fitter.next(fitter.due_ms)) is not None:
+            points.append(point)
+            if len(points) == asked and replaced:
+                at_ms = fitter.committed_ms
+                if replaced == "stop":
+                    reference = stop(reference, at_ms, limits)
+                else:
+                    reference = join(
+                        reference, trajectory, limits, at_ms=at_ms, start_ms=at_ms + 100
+                    )
+                fitter.replace(reference.trimmed(at_ms))
+    until = until_ms(reference, points)
+    made = drive_executes(start_qc, points, axis, lambda: handshakes.randint(2, 58), until)
+    check(points, made, reference, 0, axis, fitter.error_qc)
+
+
+def test_an_axis_that_does_not_move_gets_no_set_point() -> None:
+    fitter = SetPointFitter(axis_of(1e5, 1e6), 0)
+    fitter.begin(Reference.at_rest([AxisUnits.of(axes_of(("a",))[0])], [1.0]), 31_831)
+    assert followed(fitter) == []
+    assert fitter.error_qc <= 0.5
+
+
+def test_a_rest_in_between_is_stood_through_and_left_on_a_sync() -> None:
+    """It is not known long before that the axis will move on: so much is not committed."""
+    trajectory = Trajectory(
+        ("a",),
+        np.array([0.0, 1.0, 6.0, 7.0]),
+        np.array([[0.0], [1.0], [1.0], [0.0]]),
+        np.zeros((4, 1)),
+        np.zeros((4, 1)),
+    )
+    reference = reference_of(trajectory)
+    axis = axis_of(3.0 * 31_831, 12.5 * 31_831)
+    fitter = SetPointFitter(axis, 0)
+    fitter.begin(reference, 0)
+    points, waited = [], 0
+    while not fitter.ended:
+        asked_ms = fitter.due_ms
+        point = fitter.next(asked_ms)
+        if point is None:
+            waited += 1
+            continue
+        points.append(point)
+        queued_ms = points[-2].end_ms if points[1:] else 0
+        assert point.begin_ms <= max(asked_ms, queued_ms) + FEEDING_MS + 3 * SYNC_MS
+    gaps_ms = [later.begin_ms - point.end_ms for point, later in pairwise(points)]
+    restart = 1 + int(np.argmax(gaps_ms))
+    assert points[restart].begin_ms % SYNC_MS == 0
+    assert abs(points[restart].begin_ms - 6000) <= 200
+    assert not points[restart - 1].passes
+    assert points[restart - 1].target_qc == 31_831
+    assert waited > 100
+    until = until_ms(reference, points)
+    made = drive_executes(0, points, axis, lambda: 10, until)
+    check(points, made, reference, 0, axis, fitter.error_qc)
+
+
+def test_after_its_end_a_motion_is_not_replaced() -> None:
+    fitter = SetPointFitter(axis_of(1e5, 1e6), 0)
+    reference = Reference.at_rest([AxisUnits.of(axes_of(("a",))[0])], [0.0])
+    fitter.begin(reference, 0)
+    assert fitter.next() is None
+    assert fitter.ended
+    with pytest.raises(ValueError, match="committed"):
+        fitter.replace(reference)
+
+
+def _within(trajectory: Trajectory, limits: Limits) -> bool:
+    k = np.linspace(0.0, trajectory.duration_s, 500)
+    curve = curve_of(trajectory)
+    return bool(
+        np.abs(curve.evaluate(k, 1)).max() <= 0.9 * limits.velocity[0]
+        and np.abs(curve.evaluate(k, 2)).max() <= 0.9 * limits.acceleration[0]
+    )
