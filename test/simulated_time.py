@@ -30,6 +30,7 @@ from epos2_ros.protocol.intake import SDO_RESPONSE, Rejects, intake_of
 from epos2_ros.protocol.outbox import Event, Poll, SdoRequest
 from epos2_ros.protocol.phase import Phase, follows
 from epos2_ros.protocol.sdo import SdoRead, SdoWrite
+from epos2_ros.protocol.whereabouts import Whereabouts
 from epos2_ros.sim.can_bus import Remote, SimulatedBus, TransmitQueueFull
 from epos2_ros.sim.cl3e import Cl3e
 from epos2_ros.sim.copley import Copley
@@ -94,6 +95,7 @@ class Bench:
             self.bus.add(drive)
         self.machine = machine_of(self.config)
         self.group, self.path = self.machine.group, self.machine.path
+        self.whereabouts = Whereabouts(self.machine)
         self._hold_to_its_phases(self.group)
         self.feeder = self.machine.interpolated.feeder
         self.rejects = Rejects()

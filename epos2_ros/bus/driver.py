@@ -395,7 +395,7 @@ class Driver:
 
     def track(self) -> Tracking:
         """What the axes that follow trajectories are to do, and do."""
-        return self._reactor.read(lambda: tracked(self._machine, self._path.axes, now_us()))
+        return self._reactor.read(self._track)
 
     def move_to(self, targets: Mapping[str, float], duration_s: float = 0.0) -> None:
         """Axes in profile position mode to positions [unit], leaving and arriving together.
@@ -511,6 +511,9 @@ class Driver:
         return self._reactor.read(self._joint_states)
 
     # ------------------------------------------------------------------ inside
+
+    def _track(self) -> Tracking:
+        return tracked(self._machine, self._path.axes, self._whereabouts, now_us())
 
     def _joint_states(self) -> JointStates:
         now = now_us()

@@ -12,7 +12,10 @@ from epos2_ros.protocol import epos2
 from epos2_ros.protocol.family import Family
 from epos2_ros.protocol.sdo import NOT_MAPPABLE
 
-BUFFER_STATUS_INHIBIT_US = 5_000  # the note's example: 5.0 ms
+INHIBIT_US = {
+    epos2.TPDO1: 5_000,  # the note's example: 5.0 ms
+    epos2.TPDO2: 500_000,
+}
 _LIMITS = ("min_position", "max_position")
 
 
@@ -31,7 +34,6 @@ class Epos2Settings:
     max_acceleration_rpm_s: int | None = None  # 0x60C5
     warning_acceleration_rpm_s: int | None = None  # 0x6083
     stop_deceleration_rpm_s: int | None = None  # 0x6084, 0x6085
-    state_inhibit_us: int = 20_000
     produces_sync: bool = False
     clock_master: int | None = None  # node id of the drive that is; None: the host
 
@@ -59,12 +61,8 @@ class Epos2Node:
 
     def configure(self) -> int:
         """Check identity, configure, go operational; the statusword the drive then has."""
-        inhibit_us = {
-            epos2.TPDO1: BUFFER_STATUS_INHIBIT_US,
-            epos2.TPDO2: self.settings.state_inhibit_us,
-        }
         try:
-            return self._access.configure(self._write_objects, inhibit_us)
+            return self._access.configure(self._write_objects, INHIBIT_US)
         except Refused as refusal:
             s = self.settings
             if refusal.code == NOT_MAPPABLE and s.clock_master == s.node_id:

@@ -56,7 +56,6 @@ def drive_settings(axis: AxisConfig, config: DriverConfig) -> Epos2Settings:
         stop_deceleration_rpm_s=(
             None if stop is None else units.acceleration_object(stop, "stop_deceleration")
         ),
-        state_inhibit_us=config.state_inhibit_us,
         produces_sync=config.sync_producer == axis.joint,
         clock_master=clock_master(config),
     )

@@ -117,7 +117,7 @@ def axis_snapshots(
     snapshots = []
     for drive, config in zip(machine.drives, machine.config.axes, strict=True):
         units, known = AxisUnits.of(config), drive.position_qc is not None
-        silent_us, inhibit_us = now_us - drive.heard_us, machine.config.state_inhibit_us
+        silent_us = now_us - drive.heard_us
         clocked = machine.time.drives.index(drive) if drive in machine.time.drives else None
         follower = followers.get(drive)
         account = follower.account if follower else None
@@ -127,7 +127,7 @@ def axis_snapshots(
             node_id=drive.node_id,
             state=drive.state.value,
             position=units.from_qc(float(drive.position_qc or 0)) if known else nan,
-            velocity=units.from_qc_s(drive.velocity_now_qc_s(inhibit_us)) if known else nan,
+            velocity=units.from_qc_s(drive.velocity_qc_s) if known else nan,
             effort=nan if drive.current_ma is None else drive.current_ma / 1000,
             used=used,
             free=size - used,

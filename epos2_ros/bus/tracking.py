@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +14,10 @@ from epos2_ros.configuration.driver import AxisConfig
 from epos2_ros.errors import TrajectoryError
 from epos2_ros.motion.reference import Reference, State
 from epos2_ros.motion.units import AxisUnits
+from epos2_ros.protocol.drive import Drive
 from epos2_ros.protocol.execution import Execution
 from epos2_ros.protocol.machine import Machine
+from epos2_ros.protocol.whereabouts import AxisNow, Whereabouts
 
 Array = NDArray[np.float64]
 
@@ -30,18 +33,19 @@ class Tracking:
     known_us: float  # … and from when on it is what was commanded, too
     execution: Execution | None  # what they follow, or hold the end of
     state: str  # of the axes, in words
-    position: Array  # measured; NaN: the drive has not said yet
+    position: Array  # where they are, by what they say at SYNC; NaN: they have not said yet
     velocity: Array
-    measured_us: Array
+    measured_us: Array  # when they are there: now, or when a drive was last heard
+    reported_us: Array  # when each drive last said where its axis is
 
     @property
     def stamp_us(self) -> float:
-        """Of the newest measurement."""
+        """Of the newest position."""
         return float(self.measured_us.max())
 
     @property
     def desired(self) -> State:
-        """What was commanded when each axis was measured; NaN where that is not known any more."""
+        """What is commanded when each axis is there; NaN where that is not known any more."""
         t_s = (self.measured_us - self.zero_us) / 1e6
         unknown = np.where(self.measured_us < self.known_us, math.nan, 0.0)
         orders = (self.reference.evaluate(t_s, order) for order in range(3))
@@ -64,8 +68,10 @@ class Tracking:
         return max(0.0, (self.stamp_us - self.zero_us) / 1e6 - execution.start_ms / 1e3)
 
 
-def tracked(machine: Machine, configs: Sequence[AxisConfig], now_us: float) -> Tracking:
-    """What they are doing now; `configs` are those of these axes."""
+def tracked(
+    machine: Machine, configs: Sequence[AxisConfig], whereabouts: Whereabouts, now_us: float
+) -> Tracking:
+    """What they are doing now; `configs` are those of these axes, `whereabouts` of all."""
     units = [AxisUnits.of(axis) for axis in configs]
     path, feeder, drives = machine.path, machine.interpolated.feeder, machine.interpolated.drives
     axes = list(zip(units, drives, strict=True))
@@ -75,8 +81,8 @@ def tracked(machine: Machine, configs: Sequence[AxisConfig], now_us: float) -> T
         reference = Reference.at_rest(units, here)
     else:
         known_us = zero_us + 1000 * feeder.known_from_ms
-    inhibit_us = machine.config.state_inhibit_us
-    times = np.array([drive.measured_us(inhibit_us) for drive in drives])
+    heard = {machine.drives[axis.place]: axis for axis in whereabouts.at(now_us)}
+    places = [_place(drive, heard.get(drive), now_us) for drive in drives]
     return Tracking(
         now_us=now_us,
         joints=tuple(drive.joint for drive in drives),
@@ -85,13 +91,23 @@ def tracked(machine: Machine, configs: Sequence[AxisConfig], now_us: float) -> T
         known_us=known_us,
         execution=path.execution,
         state=machine.group.describe_phase(),
-        position=np.array([_measured(unit, axis.position_qc) for unit, axis in axes]),
-        velocity=np.array(
-            [unit.from_qc_s(axis.velocity_now_qc_s(inhibit_us)) for unit, axis in axes]
-        ),
-        measured_us=np.where(np.isfinite(times), times, now_us),
+        position=np.array([u.from_qc(p.qc) for u, p in zip(units, places, strict=True)]),
+        velocity=np.array([u.from_qc_s(p.qc_s) for u, p in zip(units, places, strict=True)]),
+        measured_us=np.array([place.t_us for place in places]),
+        reported_us=np.array([drive.sample_us for drive in drives]),
     )
 
 
-def _measured(units: AxisUnits, position_qc: int | None) -> float:
-    return math.nan if position_qc is None else units.from_qc(float(position_qc))
+class _Place(NamedTuple):
+    t_us: float
+    qc: float
+    qc_s: float
+
+
+def _place(drive: Drive, heard: AxisNow | None, now_us: float) -> _Place:
+    """Where an axis is, or was when its drive was last heard."""
+    if heard is not None:
+        return _Place(now_us, heard.position_qc, heard.velocity_qc_s)
+    if drive.position_qc is None:
+        return _Place(now_us, math.nan, 0.0)
+    return _Place(drive.sample_us, float(drive.position_qc), drive.velocity_qc_s)

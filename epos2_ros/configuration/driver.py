@@ -10,8 +10,6 @@ from dataclasses import dataclass, field
 
 from epos2_ros.configuration.outputs import CompareConfig
 
-POSITION_INHIBIT_US = 20_000
-
 
 @dataclass(frozen=True)
 class HomingConfig:
@@ -102,14 +100,3 @@ class DriverConfig:
     log_file: str | None = None
     log_size: float = 100.0  # of all its files [MB]
     simulation: SimulationConfig = field(default_factory=SimulationConfig)
-
-    @property
-    def state_inhibit_us(self) -> int:
-        """Inhibit time of the PDO with position and velocity.
-
-        What is published is evaluated for its own stamp from what drives say at each SYNC; a
-        position in between, for axes that brake or are turned by hand, is wanted fifty times a
-        second at most. The object has 16 bits of 100 µs
-        (CiA 301, 7.5.2.37): a slower rate gets some more frames.
-        """
-        return min(max(round(1e6 / self.state_rate), POSITION_INHIBIT_US), 100 * 0xFFFF)

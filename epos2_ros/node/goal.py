@@ -96,11 +96,12 @@ class Pursuit:
             words = f"given up before it was within its goal tolerance: {now.state}"
             return Outcome(Status.ABORTED, INVALID_GOAL, words)
         off = goal.any and goal.violation(now.commanded(now.now_us), now.position, now.velocity)
-        if not off:
+        # Nobody is blamed for a report that is older than the end, nor praised.
+        reported = not goal.any or now.reported_us.min() >= self._arrived_us
+        if reported and not off:
             return Outcome(Status.SUCCEEDED, SUCCESSFUL, "")
         waited_s = (now.now_us - self._arrived_us) / 1e6
-        # Nobody is blamed for a measurement that is older than the end.
-        if waited_s < self._tolerances.goal_time_s or now.measured_us.min() < self._arrived_us:
+        if waited_s < self._tolerances.goal_time_s or not reported:
             return None
         words = f"not at its goal {waited_s:.3f} s after its end: {off}"
         return Outcome(Status.ABORTED, GOAL_TOLERANCE_VIOLATED, words)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epos2_ros.bus.cia402_node import DRIVE_HEARTBEAT_MS
+from epos2_ros.bus.epos2 import INHIBIT_US
 from epos2_ros.bus.nodes import check
 from epos2_ros.bus.settings import machine_of
 from epos2_ros.bus.transmitter import worst_case_bits
@@ -284,7 +285,7 @@ def _bus_load(
             if tpdo.transmission_type == SYNCHRONOUS:
                 pdos_per_s += 1 / config.sync_period
             elif (POSITION_ACTUAL, 0) in tpdo.objects:
-                pdos_per_s += 1e6 / config.state_inhibit_us
+                pdos_per_s += 1e6 / INHIBIT_US[tpdo.cob_id]
             elif status in tpdo.objects:
                 pdos_per_s += len(axis.records) / end_s
     clocks = sum(FAMILIES[axis.config.drive].has_clock for axis in axes)

@@ -10,6 +10,7 @@ import math
 import struct
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from epos2_ros.protocol import cia402, epos2
 from epos2_ros.protocol.cia402 import State
@@ -20,8 +21,8 @@ from epos2_ros.protocol.outbox import Outbox
 from epos2_ros.protocol.pdo import SYNCHRONOUS, PdoMapping
 from epos2_ros.protocol.sdo import SdoRead, SdoWrite
 
-HOLDS_PERIODS = 2.0  # so many of its inhibit time after a change a drive has reported it
-SAMPLES_APART_US = 250_000.0  # two positions tell a velocity when they are no further apart
+LARGEST_ERROR_QC = 32_767  # a following error has 16 bits: this may stand for any larger one
+SAMPLES_APART_US = 5_000.0, 1_000_000.0  # so far apart two positions tell a velocity
 SYNC_ANSWER_AGE_US = 50_000.0  # an answer to SYNC may wait so long for its turn on the bus
 
 
@@ -60,7 +61,6 @@ class Drive:
         self.buffer_status = 0
         self.position_qc: int | None = None
         self.velocity = 0.0  # [velocity_unit]
-        self._told_velocity = 0.0  # likewise, in the drive's own steps
         self.sample_us = -math.inf  # when that was
         self.current_ma: int | None = None
         self.demand_qc: int | None = None
@@ -76,6 +76,7 @@ class Drive:
         self.asked_clock = False  # since the last SYNC: what it answers is the clock at that
         self.restarted = False
         self.not_operational = 0  # heartbeats in a row that say so
+        self.unanswered = 0  # SYNCs in a row that it has left without an answer
         self.homed = ""  # the method by which it was referenced; "": it was not
         self._borrowed: dict[tuple[int, int], SdoWrite] = {}  # what is to be there again
         self.demand: Demand | None = None  # what it was last told to do; None: not known
@@ -85,6 +86,11 @@ class Drive:
         self.pdo_bytes: Mapping[int, int] = {  # by COB-ID, how long its PDOs are mapped
             cob_id: layout.size for cob_id, layout in self._layouts.items()
         }
+        self._tells_velocity = any(
+            (epos2.VELOCITY_ACTUAL, 0) in mapping.objects for mapping in setup.tpdos
+        )
+        self.acceleration_qc_s2 = 0.0  # then
+        self._before = _NEVER
         self._event_us = -math.inf  # of the last statusword that came as an event
 
     def __str__(self) -> str:
@@ -96,30 +102,61 @@ class Drive:
         """A PDO of its own, of the right length; the objects it has reported.
 
         A state sampled at a SYNC counts where it is at least as new as that of the last event.
+        Who says what its demand is and how far it is from it says where it is.
         """
         layout = self._layouts[cob_id]
         values = layout.read(data)
-        before_qc, before_us = self.position_qc, self.sample_us
         repeats = layout.synchronous and t_us <= self._event_us + SYNC_ANSWER_AGE_US
         for name, value in values.items():
             if name == "statusword":
                 if not repeats:
                     self.report(value, t_us)
-            elif name != "buffer_status" or not repeats:
+            elif name != "position_qc" and (name != "buffer_status" or not repeats):
                 setattr(self, name, value)
         if "statusword" in values and not layout.synchronous:
             self._event_us = t_us
-        if "position_qc" in values:
-            self.sample_us = self.sync_us if layout.synchronous else t_us
-            if layout.synchronous:
-                self.position_sync_us = self.sync_us
-        if "velocity" in values:
-            self._told_velocity = float(self.velocity)
-            self.velocity = self._finer(self._told_velocity, before_qc, before_us)
         layout.read_us = t_us
+        if layout.synchronous:
+            self.unanswered = 0
         if "demand_qc" in values:
             self.demand_us, self.demand_sync_us = t_us, self.sync_us
+        if (position := _position(values)) is not None:
+            self._was_at(position, self.sync_us if layout.synchronous else t_us)
         return layout.objects
+
+    def _was_at(self, position_qc: int, t_us: float) -> None:
+        """Its position at a time; one that has been on its way for longer than the last is dropped.
+
+        How fast it was, and how much faster it became, is told by the positions before where the
+        drive does not tell it. One that comes to rest is not taken to turn round.
+        """
+        if t_us < self.sample_us:
+            return
+        self.position_qc, self.sample_us = position_qc, t_us
+        at_sync = t_us == self.sync_us
+        if at_sync:
+            self.position_sync_us = t_us
+        before, (least_us, most_us) = self._before, SAMPLES_APART_US
+        apart_s = (t_us - before.t_us) / 1e6
+        if apart_s < least_us / 1e6 or not (at_sync or t_us > before.t_us + most_us / 2):
+            return
+        if apart_s > most_us / 1e6:  # too long ago to tell anything
+            before = _Sample(t_us, position_qc, 0.0, math.inf)
+        told = self.velocity * self.velocity_unit if self._tells_velocity else None
+        mean = (position_qc - before.position_qc) / apart_s if told is None else told
+        over_s = apart_s if told is not None else (apart_s + before.apart_s) / 2
+        self.acceleration_qc_s2 = (mean - before.velocity_qc_s) / over_s
+        self._before = _Sample(t_us, position_qc, mean, apart_s)
+        if told is None:
+            ahead = mean + self.acceleration_qc_s2 * apart_s / 2
+            if ahead * mean <= 0:
+                ahead = self.acceleration_qc_s2 = 0.0
+            self.velocity = ahead / self.velocity_unit
+
+    def on_sync(self, t_us: float) -> None:
+        """A SYNC was on the bus."""
+        self.sync_us, self.asked_clock = t_us, False
+        self.unanswered += 1
 
     def on_clock_answer(self, data: bytes) -> frozenset[tuple[int, int]]:
         """An SDO answer; the object it has reported if it is what the clock was at the last SYNC.
@@ -144,16 +181,10 @@ class Drive:
         layout = self._layouts.get(cob_id)
         return frozenset() if layout is None else layout.objects
 
-    def measured_us(self, inhibit_us: float) -> float:
-        """The newest time at which it was at `position_qc`; -inf: it has not said yet.
-
-        A position that has changed is reported within the inhibit time. As long as the drive is
-        heard, one that was reported before is therefore where the axis still is: one that rests
-        or is blocked does not repeat it.
-        """
-        if self.position_qc is None:
-            return -math.inf
-        return max(self.sample_us, self.heard_us - HOLDS_PERIODS * inhibit_us)
+    def rests(self) -> None:
+        """At a position that may be called another from now on."""
+        self.velocity = self.acceleration_qc_s2 = 0.0
+        self._before = _NEVER
 
     def report(self, statusword: int, t_us: float) -> None:
         """A statusword, from a PDO or read at bring-up."""
@@ -190,20 +221,6 @@ class Drive:
     def velocity_qc_s(self) -> float:
         """When it was last at `position_qc`."""
         return self.velocity * self.velocity_unit
-
-    def velocity_now_qc_s(self, inhibit_us: float) -> float:
-        """Of a drive that rests, and so repeats neither position nor velocity, what it told."""
-        rests = self.measured_us(inhibit_us) > self.sample_us
-        return (self._told_velocity if rests else self.velocity) * self.velocity_unit
-
-    def _finer(self, told: float, before_qc: int | None, before_us: float) -> float:
-        """A velocity that is told in coarse steps, within a step by the last two positions."""
-        apart_us = self.sample_us - before_us
-        if before_qc is None or self.position_qc is None or not 0 < apart_us <= SAMPLES_APART_US:
-            return told
-        between = (self.position_qc - before_qc) / apart_us * 1e6 / self.velocity_unit
-        step = self.family.velocity_step_qc_s / self.velocity_unit
-        return min(max(between, told - step), told + step)
 
     def trouble(self) -> str:
         """What the drive complains of, in words; "" if nothing."""
@@ -263,6 +280,18 @@ class Drive:
         return Frame(epos2.RPDO3 + self.node_id, stamp.to_bytes(4, "little"))
 
 
+class _Sample(NamedTuple):
+    """Where an axis was, and its mean velocity since `apart_s` before."""
+
+    t_us: float
+    position_qc: int
+    velocity_qc_s: float
+    apart_s: float
+
+
+_NEVER = _Sample(-math.inf, 0, 0.0, math.inf)
+
+
 class _Layout:
     """The bytes of one PDO."""
 
@@ -280,6 +309,16 @@ class _Layout:
 
     def read(self, data: bytes) -> dict[str, int]:
         return dict(zip(self._names, self._struct.unpack(data), strict=True))
+
+
+def _position(values: Mapping[str, int]) -> int | None:
+    """Where an axis is by these reports; None where they don't say."""
+    if "position_qc" in values:
+        return values["position_qc"]
+    error_qc, demand_qc = values.get("following_error_qc"), values.get("demand_qc")
+    if error_qc is None or demand_qc is None or abs(error_qc) >= LARGEST_ERROR_QC:
+        return None
+    return demand_qc - error_qc
 
 
 def names(drives: Iterable[Drive]) -> str:

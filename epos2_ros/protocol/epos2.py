@@ -13,21 +13,21 @@ PDOs (note, 3.7 and "Motion Synchronisation"). Identifiers are the predefined co
 | RPDO3 | 400+id  | asynchronous (255) | high resolution time stamp                         |
 | RPDO4 | 500+id  | asynchronous (255) | controlword: takes effect at once                  |
 | TPDO1 | 180+id  | event, inhibited   | statusword, buffer status                          |
-| TPDO2 | 280+id  | event, inhibited   | position actual, velocity actual                   |
-| TPDO3 | 380+id  | synchronous (1)    | statusword, average current                        |
-| TPDO4 | 480+id  | synchronous (1)    | position demand, buffer status, following error    |
+| TPDO2 | 280+id  | event, inhibited   | position actual, buffer status, average current    |
+| TPDO4 | 480+id  | synchronous (1)    | position demand, statusword, following error       |
 
-The two synchronous TPDOs repeat statusword and buffer status at every SYNC, so that a lost
-event is made good within one SYNC period.
+TPDO4 repeats the statusword at every SYNC, so that a lost event is made good within one SYNC
+period, and says where the axis was at it: at the demand, less the following error. TPDO2 makes
+good a lost buffer status within its inhibit time, which is long: what it has changes all the time
+in motion. (By the maker's dictionaries a synchronous TPDO comes at each SYNC or not at all.)
 
 Two objects are read by SDO that the note maps into transmit PDOs: how many records are free
 (0x60C4-02), which by the maker's own EDS can't be mapped, and what the drive's clock was at the
 last SYNC (0x1013), which by those of 2011 and 2013 can be mapped for reception only.
 
 With a drive as clock master ("Motion Synchronisation") the host sends no time stamps: TPDO3 of the
-master carries the time stamp and nothing else, RPDO3 of the others is on its COB-ID, and the
-master's TPDO4 is position demand, statusword and following error. So the master has to be a drive
-that does map 0x1013 for transmission.
+master, synchronous, carries the time stamp and nothing else, and RPDO3 of the others is on its
+COB-ID. So the master has to be a drive that does map 0x1013 for transmission.
 """
 
 from __future__ import annotations
@@ -45,7 +45,6 @@ VENDOR_ID = 0x000000FB
 DEVICE_PROFILE = 402
 BUFFER_SIZE = 64
 MODE_INTERPOLATED_POSITION = 7
-VELOCITY_STEP_QC_S = 1000.0  # 0x606C is made of the counts of one cycle of 1 ms
 FIRST_SOFTWARE = 0x2101  # that has it
 QUICK_STOP_OPTION = 3  # of 0x6007
 
@@ -122,25 +121,22 @@ RPDO_MAPPINGS = (
 )
 TPDO_MAPPINGS = (
     PdoMapping(1, TPDO1, ASYNCHRONOUS, ((STATUSWORD, 0), (INTERPOLATION_STATUS, 1))),
-    PdoMapping(2, TPDO2, ASYNCHRONOUS, ((POSITION_ACTUAL, 0), (VELOCITY_ACTUAL, 0))),
-    PdoMapping(3, TPDO3, SYNCHRONOUS, ((STATUSWORD, 0), (CURRENT_AVERAGED, 0))),
     PdoMapping(
-        4,
-        TPDO4,
-        SYNCHRONOUS,
-        ((POSITION_DEMAND, 0), (INTERPOLATION_STATUS, 1), (FOLLOWING_ERROR_ACTUAL, 0)),
+        2,
+        TPDO2,
+        ASYNCHRONOUS,
+        ((POSITION_ACTUAL, 0), (INTERPOLATION_STATUS, 1), (CURRENT_AVERAGED, 0)),
     ),
-)
-
-CLOCK_MASTER_TPDO_MAPPINGS = (
-    *TPDO_MAPPINGS[:2],
-    PdoMapping(3, TPDO3, SYNCHRONOUS, ((HIGH_RESOLUTION_TIME_STAMP, 0),)),
     PdoMapping(
         4,
         TPDO4,
         SYNCHRONOUS,
         ((POSITION_DEMAND, 0), (STATUSWORD, 0), (FOLLOWING_ERROR_ACTUAL, 0)),
     ),
+)
+CLOCK_MASTER_TPDO_MAPPINGS = (
+    *TPDO_MAPPINGS,
+    PdoMapping(3, TPDO3, SYNCHRONOUS, ((HIGH_RESOLUTION_TIME_STAMP, 0),)),
 )
 
 
@@ -262,7 +258,6 @@ FAMILY = Family(
         (STATUSWORD, 0): Field("H", "statusword"),
         (INTERPOLATION_STATUS, 1): Field("H", "buffer_status"),
         (POSITION_ACTUAL, 0): Field("i", "position_qc"),
-        (VELOCITY_ACTUAL, 0): Field("i", "velocity"),
         (HIGH_RESOLUTION_TIME_STAMP, 0): Field("I", "latched"),
         (CURRENT_AVERAGED, 0): Field("h", "current_ma"),
         (POSITION_DEMAND, 0): Field("i", "demand_qc"),
@@ -291,6 +286,5 @@ FAMILY = Family(
     has_clock=True,
     backs_off=True,
     referenced_bit=REFERENCED,
-    velocity_step_qc_s=VELOCITY_STEP_QC_S,
     power_up_bit=REFRESH_CYCLE,
 )

@@ -68,7 +68,6 @@ class Family:
     life_guarding: bool = False  # it watches the host by 0x100C and 0x100D: it has no 0x1016
     pdos: int = 4  # each way
     referenced_bit: int = 0  # of the statusword: the axis is homed
-    velocity_step_qc_s: float = 0.0  # in which it tells its velocity
     power_up_bit: int = 0  # of the statusword: "switched on", on its own way to "operation enabled"
 
     def describe_emergency(self, code: int) -> str:

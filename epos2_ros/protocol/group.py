@@ -35,6 +35,7 @@ from epos2_ros.protocol.outbox import Outbox
 from epos2_ros.protocol.path_time import PathTime
 from epos2_ros.protocol.phase import (
     BEGUN,
+    BRAKING,
     GETTING_ENABLED,
     HALTED,
     IN_MOTION,
@@ -57,6 +58,7 @@ READY_TIMEOUT_US = 3_000_000.0  # for a mode to be set, and what it takes to sta
 UNKNOWN_MODE = 0  # of operation
 STOP_TIMEOUT_US = 5_000_000.0  # for an axis to come to rest after a halt or quick stop
 HALT_REACTION_US = 100_000.0  # a drive that has not begun to halt by then is quick-stopped
+BRAKING_SYNC_US, FINDING_SYNC_US = 10_000.0, 20_000.0  # instead of the period, if that is longer
 ROUNDING_US = 1.0  # so much later than due, path time has come to it whatever its last digit
 WAIT_SAID_US = 500_000.0  # a motion that waits longer than this for its stamp is told of
 
@@ -226,7 +228,7 @@ class Group:
         if starts:
             self.path_time.begin(t_us)
         for drive in self.drives:
-            drive.sync_us, drive.asked_clock = t_us, False
+            drive.on_sync(t_us)
         self.time.on_sync(t_us, begins_path=starts)
         if starts:
             late_us = self.time.seen_late_us
@@ -476,6 +478,14 @@ class Group:
             self._when_started.clear()
         if phase not in IN_MOTION:
             self.time.after_path()
+        self.time.often_us = self._sync_pause_us()
+
+    def _sync_pause_us(self) -> float:
+        """Where only the drives know how they move, they are asked where they are more often."""
+        if self.phase in BRAKING:
+            return BRAKING_SYNC_US
+        homing = self.phase in BEGUN and any(mode.finds_its_way for mode in self.modes)
+        return FINDING_SYNC_US if homing else math.inf
 
     def _accept(self, request: Future[None], phase: Phase) -> None:
         self._fail_requests(f"given up for another request ({phase.value})")

@@ -37,6 +37,7 @@ class Phase(Enum):
 NOT_BEGUN = frozenset({Phase.SWITCHING, Phase.PREPARING, Phase.ARMING})
 BEGUN = frozenset({Phase.STARTING, Phase.MOVING})
 IN_MOTION = NOT_BEGUN | BEGUN
+BRAKING = frozenset({Phase.HALTING, Phase.QUICK_STOPPING})
 GETTING_ENABLED = frozenset(
     {Phase.ENABLING, Phase.READYING, Phase.SETTLING, Phase.CANCELLING, Phase.STANDING} | IN_MOTION
 )

@@ -2,7 +2,7 @@
 
 A host that is busy, stopped or swamped hears nobody, and what it has missed meanwhile it takes in
 late or never. So silence is not measured by a clock but by what comes in: every frame says that
-the bus was listened to up to its time. The host's own heartbeat is among them every 50 ms; where
+the bus was listened to up to its time. The host's own heartbeat is among them every 80 ms; where
 that was not there for longer than MAX_GAP_US, the host was busy elsewhere, and the rest of the gap
 doesn't count: a drive with life guarding says nothing when it is not asked. (A bus on which the
 host's own frames don't appear is the link's to notice.)
@@ -13,8 +13,8 @@ from __future__ import annotations
 import math
 
 SILENCE_US = 400_000.0
-"""A drive not heard for so long is lost. It produces a heartbeat every 0.2 s and answers every
-SYNC; with a frame of the host every 50 ms it is noticed within half a second."""
+"""A drive not heard for so long is lost. It produces a heartbeat every 0.3 s and answers every
+SYNC; with a frame of the host every 80 ms it is noticed within half a second."""
 MAX_GAP_US = 150_000.0
 
 

@@ -32,7 +32,7 @@ from epos2_ros.protocol.frame import Frame
 from epos2_ros.protocol.outbox import Outbox, Poll
 from epos2_ros.protocol.pvt.path_audit import patience_syncs
 
-HEARTBEAT_PERIOD_US = 50_000.0  # of the host; the drives watch it for 0.5 s (0x1016)
+HEARTBEAT_PERIOD_US = 80_000.0  # of the host; the drives watch it for 0.5 s (0x1016)
 HOST_NODE_ID = 127
 OPERATIONAL = b"\x05"
 ANSWER_US = 500.0  # per axis, for its two synchronous TPDOs, before the next SYNC
@@ -81,6 +81,7 @@ class Timekeeper:
         corrected_us = period_us * max(1, math.ceil(self._round_us / period_us - EARLY_SHARE))
         self.clock = MasterClock(len(drives), corrected_us, master_index)
         self.sync_count = 0
+        self.often_us = math.inf  # from SYNC to SYNC, where the period is too long
         self._master = master_index
         self._answering = answering
         self._out = out
@@ -157,7 +158,7 @@ class Timekeeper:
         self._reads = self._reads_at(t_us)
         if self._reads:
             self._unstamped_us = t_us
-            self._round_due_us = t_us + self._round_us
+            self._round_due_us = t_us + max(self._round_us, self.period_us)
             if self._asked:
                 self._out.polls.append(Poll(tuple(self._asked), epos2.CLOCK_AT_SYNC))
         if begins_path:
@@ -226,7 +227,7 @@ class Timekeeper:
             for node_id in self._guarded:
                 self._out.frames.append(Frame(epos2.HEARTBEAT + node_id, remote=True))
             self._heartbeat_due_us = now_us + HEARTBEAT_PERIOD_US
-        if may_sync and self.clear and now_us >= self._sync_due_us:
+        if may_sync and self.clear and now_us >= self._next_due_us:
             self.sync(now_us)
 
     def deadline_us(self, may_sync: bool) -> float:
@@ -234,7 +235,15 @@ class Timekeeper:
         due = min(self._heartbeat_due_us, self._follow_up_due_us)
         if self._slow:
             due = min(due, self._slow_due_us)
-        return min(due, self._sync_due_us) if may_sync and self.clear else due
+        return min(due, self._next_due_us) if may_sync and self.clear else due
+
+    @property
+    def _next_due_us(self) -> float:
+        """When a SYNC of ours goes out."""
+        if self.often_us == math.inf or not self.produces:
+            return self._sync_due_us
+        pause_us = max(self.often_us, 2 * ANSWER_US * (self._answering + 1))
+        return min(self._sync_due_us, self._last_sync_us + pause_us)
 
     @property
     def clear(self) -> bool:

@@ -15,7 +15,8 @@ from epos2_ros.protocol.silence import Silence
 from epos2_ros.protocol.timekeeper import OPERATIONAL, Timekeeper
 
 OFF_REPORTS = 2  # in a row: a drive has left "operation enabled"
-NOT_OPERATIONAL = 2  # heartbeats in a row that say so: a drive has left NMT operational
+NOT_OPERATIONAL = 2  # heartbeats in a row that say so: a drive has left NMT operational, …
+UNANSWERED = 2  # … or one, and so many SYNCs without an answer
 
 
 class Watch:
@@ -59,7 +60,7 @@ class Watch:
             drive.not_operational = 0
             return False
         drive.not_operational += 1
-        return drive.not_operational == NOT_OPERATIONAL
+        return _not_operational(drive)
 
     def on_nmt(self, command: int, node_id: int) -> bool:
         """Another master's: what it stops does not listen to us any more. Whether it was any."""
@@ -83,7 +84,7 @@ class Watch:
 
     def brought_up(self, drive: Drive) -> None:
         """Nothing of before counts any more."""
-        drive.restarted, drive.not_operational = False, 0
+        drive.restarted, drive.not_operational, drive.unanswered = False, 0, 0
         self._lost.discard(drive)
         self._unheard.discard(drive)
 
@@ -122,7 +123,7 @@ class Watch:
 
     def stopped_listening(self, drive: Drive) -> bool:
         """Whether a drive has left NMT operational, and is otherwise as it was brought up."""
-        return drive.not_operational >= NOT_OPERATIONAL and not drive.restarted
+        return _not_operational(drive) and not drive.restarted
 
     def look(self, phase: Phase) -> bool:
         """Whether something is wrong that no frame tells: silence, and clocks that are off."""
@@ -131,7 +132,7 @@ class Watch:
             silent = running and self._silence.silent(place)
             if silent:
                 self._unheard.add(drive)
-            elsewhere = silent or drive.restarted or drive.not_operational >= NOT_OPERATIONAL
+            elsewhere = silent or drive.restarted or _not_operational(drive)
             if elsewhere or not well and self._clock_trouble(drive, phase):
                 self._lost.add(drive)
                 wrong = True
@@ -157,7 +158,7 @@ class Watch:
             return "is silent: check its power and the bus"
         if drive.restarted:
             return "has restarted: was its power off?"
-        if drive.not_operational >= NOT_OPERATIONAL:
+        if _not_operational(drive):
             return "is no longer in NMT operational: does somebody else command it?"
         return ""
 
@@ -177,3 +178,9 @@ class Watch:
         """What is wrong with the clock of a drive, or ""; in motion it takes less."""
         index = self._clocked.get(drive)
         return "" if index is None else self._time.trouble(index, phase in BEGUN)
+
+
+def _not_operational(drive: Drive) -> bool:
+    """Whether a drive has left NMT operational: one heartbeat may be of before its NMT start."""
+    told = drive.not_operational
+    return told >= NOT_OPERATIONAL or (told > 0 and drive.unanswered >= UNANSWERED)

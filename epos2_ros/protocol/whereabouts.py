@@ -20,7 +20,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from epos2_ros.protocol.drive import HOLDS_PERIODS, Drive
+from epos2_ros.protocol.drive import LARGEST_ERROR_QC, Drive
 from epos2_ros.protocol.machine import Machine
 from epos2_ros.protocol.phase import BEGUN, NOT_BEGUN, Phase
 from epos2_ros.protocol.pvt.axis import PvtAxis
@@ -33,7 +33,6 @@ MAX_DELAY_US = 20_000.0
 FORGET = 0.9  # from SYNC to SYNC, of what is known of the delay
 SLOW_QC_S = 3_000.0  # at such velocities a delay is hardly to be seen in whole counts
 ROUNDING_QC = 2.0  # of the demand and the position, each in whole counts
-LARGEST_ERROR_QC = 32_767  # a following error has 16 bits
 
 Planned = Callable[[float], tuple[float, float]]  # host µs to position [qc] and velocity [qc/s]
 
@@ -68,7 +67,7 @@ class Whereabouts:
             planned = self._planned(drive, axis.records)
             axis.does(t_us, None if planned is None else machine.group.phase in BEGUN)
             if planned is None:
-                position_qc, velocity_qc_s = axis.carried_on(t_us, machine.config.state_inhibit_us)
+                position_qc, velocity_qc_s = axis.carried_on(t_us)
             else:
                 position_qc, velocity_qc_s = axis.following(t_us, planned)
             heard.append(AxisNow(place, position_qc, velocity_qc_s))
@@ -102,18 +101,23 @@ class _Axis:
         self._seen_us = -math.inf  # … and the last position in between
         self._moves: bool | None = None  # by its plan; None: it has none
         self._since_us = -math.inf  # since when that is so
+        self._last = self._left = -math.inf, 0.0, 0.0  # on a path: when, where, how fast; its end
 
     def does(self, t_us: float, moves: bool | None) -> None:
         """Whether it moves by its plan, or rests, or has none."""
         if moves is not self._moves:
             self._moves, self._since_us = moves, t_us
+            if moves is None:
+                self._left = self._last
 
     # ------------------------------------------------------------------ on a path
 
     def following(self, t_us: float, planned: Planned) -> tuple[float, float]:
         """Position and velocity on a path."""
         self._compare(planned)
-        return self._behind(t_us, planned)
+        position_qc, velocity = self._behind(t_us, planned)
+        self._last = t_us, position_qc, velocity
+        return position_qc, velocity
 
     def _behind(self, t_us: float, planned: Planned) -> tuple[float, float]:
         _, velocity = planned(t_us - self._delay_us)
@@ -162,17 +166,17 @@ class _Axis:
 
     # ------------------------------------------------------------------ off it
 
-    def carried_on(self, t_us: float, inhibit_us: float) -> tuple[float, float]:
-        """Position and velocity from the newest report on."""
+    def carried_on(self, t_us: float) -> tuple[float, float]:
+        """Position and velocity from the newest report on, or from where it has left its path."""
         drive = self._drive
         at_sync = drive.sample_us == drive.position_sync_us
         since_us = drive.sample_us - (0.0 if at_sync else EVENT_AGE_US)
-        position_qc = float(drive.position_qc or 0)
-        reported, error_qc = drive.following_error_qc, self._error_qc()
-        if reported is not None and error_qc is not None and drive.demand_sync_us > since_us:
-            since_us, position_qc = drive.demand_sync_us, (drive.demand_qc or 0) - error_qc
-        velocity = drive.velocity_now_qc_s(inhibit_us)
-        passed_us = max(0.0, t_us - since_us)
-        if passed_us > HOLDS_PERIODS * inhibit_us and not at_sync:
-            return position_qc, velocity  # it would have said by now that it has moved
-        return position_qc + velocity * min(passed_us, HEARD_US) * 1e-6, velocity
+        position_qc, velocity = float(drive.position_qc or 0), drive.velocity_qc_s
+        acceleration = drive.acceleration_qc_s2
+        if self._left[0] > since_us:
+            (since_us, position_qc, velocity), acceleration = self._left, 0.0
+        passed_s = min(max(0.0, t_us - since_us), HEARD_US) * 1e-6
+        if acceleration * velocity < 0:  # it brakes, to rest
+            passed_s = min(passed_s, -velocity / acceleration)
+        gained = acceleration * passed_s
+        return position_qc + (velocity + gained / 2) * passed_s, velocity + gained

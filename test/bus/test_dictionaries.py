@@ -131,7 +131,7 @@ def test_no_clock_is_sent_by_pdo_and_each_is_read_after_every_sync() -> None:
         asked = [t for t, f, _ in made.frames if f.can_id == 0x600 + node]
         assert len(asked) == len(syncs)
         assert all(0 < t - sync < 5_000 for t, sync in zip(asked, syncs, strict=True))
-    assert {len(f.data) for _, f, _ in made.frames if f.can_id in (0x381, 0x382)} == {4}
+    assert {len(f.data) for _, f, _ in made.frames if f.can_id in (0x481, 0x482)} == {8}
 
 
 def test_a_clock_that_is_not_read_any_more_is_a_fault_before_it_can_be_far_off() -> None:
@@ -279,20 +279,32 @@ def test_firmware_without_interpolated_position_mode_is_refused(revision: int) -
 
 
 @pytest.mark.parametrize("rpm", [3, 40, 470])
-def test_velocities_are_finer_than_the_drives_steps(rpm: int) -> None:
-    """The drive tells 1 qc/ms, 30 rpm at 2000 qc per turn; two positions 20 ms apart tell 1.5."""
+@pytest.mark.parametrize("error_qc", [0, -150])
+def test_answers_to_sync_tell_the_velocity(rpm: int, error_qc: int) -> None:
+    """0x606C is whole counts per ms, 30 rpm at 2000 qc per turn; positions 0.1 s apart tell 0.6."""
     drive = Bench(TWO).machine.drives[0]
     qc_s = rpm * 2000 / 60
     for n in range(10):
-        t_us = 20_000.0 * n
-        position = int(qc_s * t_us / 1e6)
-        told = round(round(qc_s / 1000) * 30)
-        drive.heard_us = t_us
-        drive.on_pdo(0x281, struct.pack("<ii", position, told), t_us)
-    assert abs(drive.velocity_now_qc_s(20_000.0) * 60 / 2000 - rpm) <= 1.6
-    drive.on_pdo(0x281, struct.pack("<ii", position, 0), t_us + 20_000)
-    drive.heard_us = t_us + 200_000  # it rests, and repeats nothing
-    assert drive.velocity_now_qc_s(20_000.0) == 0.0
+        drive.on_sync(1e5 * n)
+        position = int(qc_s * n / 10)
+        drive.on_pdo(0x481, struct.pack("<iHh", position + error_qc, 0x0637, error_qc), 1e5 * n + 9)
+        assert drive.position_qc == position
+    assert abs(drive.velocity_qc_s * 60 / 2000 - rpm) <= 0.6
+    for n in range(10, 12):  # it rests
+        drive.on_sync(1e5 * n)
+        drive.on_pdo(0x481, struct.pack("<iHh", position + error_qc, 0x0637, error_qc), 1e5 * n + 9)
+    assert drive.velocity_qc_s == 0.0
+
+
+def test_a_following_error_that_may_be_any_larger_one_tells_no_position() -> None:
+    """0x20F4 has 16 bits: an axis that is turned by hand while it is off says where it is itself."""
+    drive = Bench(TWO).machine.drives[0]
+    drive.on_sync(1e5)
+    drive.on_pdo(0x281, struct.pack("<iHh", 90_000, 0, 0), 1.1e5)
+    for n, error_qc in ((2, -32_768), (3, 32_767)):
+        drive.on_sync(1e5 * n)
+        drive.on_pdo(0x481, struct.pack("<iHh", 0, 0x0240, error_qc), 1e5 * n + 500)
+    assert drive.position_qc == 90_000
 
 
 def test_free_records_are_read_from_the_answer_to_their_own_object_only() -> None:

@@ -61,7 +61,8 @@ def seen(
         state="standing",
         position=np.array([1.0 + off, 1.0]),
         velocity=np.zeros(2),
-        measured_us=np.array([at_us - age_us, at_us]),
+        measured_us=np.array([at_us, at_us]),
+        reported_us=np.array([at_us - age_us, at_us]),
     )
 
 
@@ -172,7 +173,7 @@ def bench_of(buffer_time: float) -> Bench:
 
 
 def track(bench: Bench) -> Tracking:
-    return tracked(bench.machine, bench.config.axes, bench.now_us)
+    return tracked(bench.machine, bench.config.axes, bench.whereabouts, bench.now_us)
 
 
 class Client:

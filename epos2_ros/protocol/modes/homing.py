@@ -53,6 +53,7 @@ class Homing(Mode):
     operation = 6
     words = "homing mode"
     start = START
+    finds_its_way = True
     prepare_timeout_us = 2_000_000.0
     confirm_timeout_us = 1_000_000.0
     unconfirmed_words = "homing has not begun"
@@ -136,6 +137,7 @@ class Homing(Mode):
     def finish(self) -> None:
         for drive, search in self._searches.items():
             drive.homed = search.words
+            drive.rests()
             self._out.frames.append(drive.controlword(cia402.ENABLE_OPERATION))
         self._searches = {}
 

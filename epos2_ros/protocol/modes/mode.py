@@ -32,6 +32,7 @@ class Mode(ABC):
     words: ClassVar[str]  # its name
     start: ClassVar[int]  # controlword bits beside "enable operation" that begin it
     brakes_with: ClassVar[int] = 0  # those that stay beside "halt" while an axis brakes
+    finds_its_way: ClassVar[bool] = False  # a drive, which alone knows what it does next
     resumes: ClassVar[bool] = False  # whether an axis goes on when its halt is released
     prepare_timeout_us: ClassVar[float] = 1_000_000.0  # for what has been handed over last
     confirm_timeout_us: ClassVar[float]  # from the start SYNC on

@@ -70,7 +70,6 @@ class PathAudit:
         self._unit_qc_s = velocity_unit_qc_s
         self._allowed_qc = tolerance_qc + ROUNDING_QC
         self._period_us = sync_period_us
-        self._patience = patience_syncs(sync_period_us)
         self._syncs: deque[tuple[int, float]] = deque(maxlen=_REMEMBERED)  # number, host time
         self.rest(0)
 
@@ -95,7 +94,7 @@ class PathAudit:
         self._follows = False  # it was once where only a drive on its path can be
         self._open: deque[int] = deque()  # of the last SYNCs those without an answer that fits
         self._misfit: set[int] | None = None  # how many SYNCs late the last may be that didn't fit
-        self._unanswered = 0
+        self._unanswered, self._unanswered_us = 0, math.inf
 
     def send(self, record: Record) -> None:
         """A record was handed to the bus."""
@@ -141,10 +140,13 @@ class PathAudit:
             self._start = number, t_us
         elif self._start and not self._late_start_us:
             self._late_start_us = t_us - self._start[1]
+        if not self._unanswered:
+            self._unanswered_us = t_us
         self._unanswered += 1
-        if self._unanswered <= self._patience:
+        unanswered = self._unanswered - 1  # the last may still be
+        if unanswered < MISSED_ANSWERS or t_us + STAMP_NOISE_US < self._unanswered_us + MISSED_ANSWERS_US:
             return ""
-        return f"{self._patience} SYNCs in a row without its position demand"
+        return f"{unanswered} SYNCs in a row without its position demand"
 
     def on_clock(self, latched: int, t_us: float) -> str:
         """What the drive's clock was at a SYNC; what is wrong with its demand then, or ""."""
