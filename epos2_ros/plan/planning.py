@@ -37,7 +37,8 @@ from epos2_ros.protocol.families import FAMILIES, follows_records
 from epos2_ros.protocol.frame import Frame
 from epos2_ros.protocol.pdo import SYNCHRONOUS
 from epos2_ros.protocol.phase import Phase
-from epos2_ros.protocol.timekeeper import HEARTBEAT_PERIOD_US, READ_SHARE
+from epos2_ros.protocol.pvt.buffer_reads import LEVEL_ROUND_US
+from epos2_ros.protocol.timekeeper import CLOCK_ROUND_US, HEARTBEAT_PERIOD_US, READ_SHARE
 
 Array = NDArray[np.float64]
 PIECE_MS = 1 << 17  # looked at in one piece
@@ -45,6 +46,7 @@ PIECE_MS = 1 << 17  # looked at in one piece
 SYNC_BITS, HEARTBEAT_BITS, CONTROLWORD_BITS, STAMP_BITS, PDO_BITS = map(
     worst_case_bits, (0, 1, 2, 4, 8)
 )
+BEFORE_PDOS = 8  # of each axis, between the trajectory and the start: SDO, controlwords
 
 
 class Piece(NamedTuple):
@@ -270,13 +272,14 @@ def make_plan(
 def _bus_load(
     config: DriverConfig, axes: Sequence[AxisPlan], sent_ms: Array, end_ms: int
 ) -> BusLoad:
-    """A drive answers each SYNC by its synchronous PDOs, and is asked twice in the buffer time what
-    its buffer holds (SDO, there and back); what its clock was at each SYNC (SDO, too), as far as
-    these take no more than READ_SHARE of the bus. Its position comes once in its inhibit time where
-    it is no such answer; what its buffer has taken, for each record where that is in a PDO."""
+    """A drive answers each SYNC by its synchronous PDOs, and gets a time stamp; it is asked now and
+    then what its buffer holds (SDO, there and back), and what its clock was at a SYNC (SDO, too),
+    of which no more than READ_SHARE of the bus is taken. Its position comes once in its inhibit
+    time where it is no such answer; what its buffer has taken, for each record where that is in a
+    PDO. Before the start each is asked for both, and told by two controlwords."""
     count, end_s = len(axes), max(end_ms, 1) / 1000
-    window_s = min(end_s, 1.0)
-    pdos_per_s = count * 2 * 2 / config.buffer_time
+    window_s, before = min(end_s, 1.0), count * BEFORE_PDOS
+    pdos_per_s = count * 2 * 1e6 / LEVEL_ROUND_US
     for axis in axes:
         family = FAMILIES[axis.config.drive]
         assert family.pvt is not None
@@ -289,7 +292,8 @@ def _bus_load(
             elif status in tpdo.objects:
                 pdos_per_s += len(axis.records) / end_s
     clocks = sum(FAMILIES[axis.config.drive].has_clock for axis in axes)
-    reads_bits_s = 2 * PDO_BITS * clocks / config.sync_period
+    reads_per_s = max(1.1 / config.sync_period, clocks * 1e6 / CLOCK_ROUND_US) if clocks else 0.0
+    reads_bits_s = 2 * PDO_BITS * reads_per_s
     bits_per_s = (
         pdos_per_s * PDO_BITS
         + min(reads_bits_s, READ_SHARE * config.bitrate)
@@ -301,8 +305,8 @@ def _bus_load(
     most = int(np.max(until - np.arange(len(at_ms))))  # of them within the window
     return BusLoad(
         records=len(sent_ms) * PDO_BITS / end_s / config.bitrate,
-        others=bits_per_s / config.bitrate,
-        busiest=(most * PDO_BITS / window_s + bits_per_s) / config.bitrate,
+        others=(before * PDO_BITS / end_s + bits_per_s) / config.bitrate,
+        busiest=((most + before) * PDO_BITS / window_s + bits_per_s) / config.bitrate,
     )
 
 

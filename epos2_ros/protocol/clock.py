@@ -6,12 +6,19 @@ by the difference. Stamps count microseconds since TIME and wrap at 2³² (every
 the drives' clocks do.
 
 The host's own time of a SYNC is noisy (interrupt latency, a late thread), while every drive
-latches it to a microsecond by a quartz. So the master clock is a line fitted through the host's
-times over the drives' clocks, corrections taken out; a late time stamp is an outlier of that line
-and moves no drive. All drives see the same SYNCs: what is left of the noise moves them together.
+latches it to a microsecond by a quartz. So one drive that says what its clock was at a SYNC tells
+when that SYNC was: since the one before its clock has gone on by as much as has passed, but for
+what its quartz is fast. How far the quartzes differ is compared at SYNCs of which more than one
+drive tells; what the others' clocks were then follows. So all clocks are known at every SYNC
+of which any drive tells its own.
 
-Between two corrections a drive drifts, and the line's slope says how fast. So a drive is not set
-right but ahead by what it loses in half a period: its error then swings evenly around zero.
+What has passed by the drives' clocks, all SYNCs together, is their common clock. The master clock
+is a line fitted through the host's times over it; a late time stamp is an outlier of that line and
+moves no drive. All drives see the same SYNCs: what is left of the noise moves them together.
+
+Between two corrections a drive drifts, and by how much is known. So a drive is not set right but
+ahead by half of what it loses until the next: its error then swings evenly around zero. One that
+loses little is corrected less often.
 """
 
 from __future__ import annotations
@@ -19,16 +26,25 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
+from statistics import median
 
 import numpy as np
 
 WRAP_US = 1 << 32
 WINDOW = 100  # SYNCs a line is fitted through
+STEADY = 50  # of them, and it does not change much any more
 MIN_FIT = 4  # with fewer, the host's time is all there is
 OUTLIER = 5.0  # times the median deviation from the line …
 OUTLIER_FLOOR_US = 5.0  # … and never less than this is an outlier
 MAX_DRIFT = 500e-6  # of a quartz against the host's: a steeper line is a mistake
-COARSEST_CLOCK_US = 10.0  # drives count bit times; to this a clock's ticks are smoothed
+LEARN = 1 / 32  # of what a comparison of two quartzes says, once there have been many
+BEND = 50e-6  # and no more than this: a clock that jumps says nothing of its quartz
+DOUBT_US = 20.0  # two drives that differ by more are not to be believed, …
+DOUBT_NOISE = 8.0  # … nor is one that differs from the host by so many times its noise …
+DOUBT_FLOOR_US = 200.0  # … and at least by this, before all have been asked
+NEAR = 20e-6  # of a period a drive may be off before it is corrected, if it is so slow to get there
+TICK_US = 1.0  # of a stamp
+MOST_PERIODS = 10  # between two corrections of a drive
 SLEW = 1e-6  # of the master's time towards the line: the drives get it one after another, …
 EARLY_SLEW, EARLY = 5e-6, 20  # … and so much while the line is made of fewer SYNCs
 _SECONDS_TO_1984 = 441_763_200  # from 1970-01-01 to 1984-01-01, the epoch of TIME_OF_DAY
@@ -39,10 +55,10 @@ def wrapped(difference_us: float) -> float:
     return (difference_us + WRAP_US // 2) % WRAP_US - WRAP_US // 2
 
 
-def _median(values: np.ndarray) -> np.ndarray:
-    """Along the first axis; NumPy's own takes ten times as long for so few values."""
-    ordered, half = np.sort(values, axis=0), len(values) // 2
-    return (ordered[half] + ordered[-half - 1]) / 2
+def _median(values: np.ndarray) -> float:
+    """NumPy's own takes ten times as long for so few values."""
+    ordered, half = np.sort(values), len(values) // 2
+    return float(ordered[half] + ordered[-half - 1]) / 2
 
 
 class MasterClock:
@@ -56,23 +72,31 @@ class MasterClock:
     def __init__(self, drives: int, period_us: float, master: int | None = None) -> None:
         self.noise_us = 0.0  # median deviation of the host's times from the line
         self.outliers = 0
-        self.offset_us = np.full(drives, math.nan)  # of each drive at the last SYNC it answered
-        self.drift = np.zeros(drives)  # of each drive's quartz against the host's clock
+        self.offset_us = np.full(drives, math.nan)  # of each drive at the last SYNC it has told of
         self._period_us = period_us
         self._master = master
         self._kept_us = np.zeros(drives)  # how far from the master's time each drive is kept
+        self._faster = np.zeros(drives)  # each drive's quartz than the common clock
+        self._rate = 0.0  # of the common clock against the host's
         self.reset(0.0)
 
     def reset(self, t_us: float) -> None:
         """TIME was on the bus at host time `t_us`: the drives count from there."""
+        drives = len(self._faster)
         self._zero_us = t_us
-        self._sync_us = self._sync_host_us = 0.0  # the last SYNC by the master and by the host
-        self._shown: list[int | None] = [None] * len(self.drift)  # by each drive, corrected, …
-        self._shown_us = np.zeros(len(self.drift))  # … at the last SYNC it answered, at this time
-        self._free_us = np.zeros(len(self.drift))  # the clocks, had none ever been corrected
-        self._rest_us = np.zeros(len(self.drift))  # of them at the last SYNC, not in whole ticks
-        self._seen: deque[tuple[float, ...]] = deque(maxlen=WINDOW)  # host's time, `_free_us`
-        self._line: tuple[float, np.ndarray] | None = None  # host's time, ahead of it there
+        self._sync_us = self._sync_host_us = 0.0  # the last SYNC by the master and by the host, …
+        self._common_us = 0.0  # … and by the common clock
+        self._free_us = 0.0  # likewise by the master's own, had it never been corrected
+        self._shown: list[float | None] = [None] * drives  # by each drive, corrected, …
+        self._at_us = np.zeros(drives)  # … when it was this by the common clock
+        self._compared = np.zeros(drives, int)  # how often its quartz was, with others
+        self._seen: deque[tuple[float, float]] = deque(maxlen=WINDOW)  # host's time, common clock
+        self._line: tuple[float, float] | None = None  # host's time, common clock ahead of it there
+
+    @property
+    def drift(self) -> np.ndarray:
+        """Of each drive's quartz against the host's clock."""
+        return self._rate + self._faster
 
     def master_us(self, t_us: float) -> float:
         """The master's time at host time `t_us`, near the last SYNC."""
@@ -81,13 +105,18 @@ class MasterClock:
 
     @property
     def sync_us(self) -> float:
-        """Host time of the last SYNC, by the clocks of the drives that have answered it."""
+        """Host time of the last SYNC, by the clocks of the drives that have told of it."""
         return self._zero_us + self._sync_host_us
 
     @property
     def settled(self) -> bool:
         """Whether the master's time no longer depends on when the host noticed a single SYNC."""
-        return self._line is not None or not len(self.drift)
+        return self._line is not None or not len(self._faster)
+
+    @property
+    def steady(self) -> bool:
+        """Whether it is well known how fast each quartz is, and how noisy the host's times are."""
+        return len(self._seen) >= STEADY
 
     def begin_anew(self) -> None:
         """No drive's clock fits the host's times of the SYNCs so far: they were wrong."""
@@ -98,42 +127,62 @@ class MasterClock:
         shown = self._shown[drive]
         if shown is None:
             return 0.0
-        return float(wrapped(latched - shown) - (self.master_us(t_us) - self._shown_us[drive]))
+        passed_us = self._common_at(t_us - self._zero_us) - float(self._at_us[drive])
+        return wrapped(latched - shown) - passed_us * (1 + float(self._faster[drive]))
 
-    def on_sync(self, t_us: float, latched: Sequence[int | None]) -> None:
-        """A SYNC was on the bus at host time `t_us`.
+    def on_sync(self, t_us: float, latched: Sequence[int | None]) -> bool:
+        """A SYNC was on the bus at host time `t_us`; False: what the drives say is in doubt.
 
-        `latched` are the drives' clocks at that SYNC, before they are corrected; None: no answer.
+        `latched` are the drives' clocks at that SYNC, before they are corrected; None: not told. In
+        doubt it counts for nothing, and all drives should tell of the next.
         """
-        host_us = t_us - self._zero_us
-        answered = [drive for drive, clock in enumerate(latched) if clock is not None]
-        passed_us = self._count(latched)
-        now_us = self.master_us(t_us)
-        if len(answered) == len(latched):
-            self._seen.append((host_us, *self._free_us))
+        host_us, now_us = t_us - self._zero_us, self.master_us(t_us)
+        told = {
+            drive: float(self._at_us[drive]) + wrapped(clock - shown) / (1 + self._faster[drive])
+            for drive, (clock, shown) in enumerate(zip(latched, self._shown, strict=True))
+            if clock is not None and shown is not None
+        }
+        common_us = median(told.values()) if told else self._common_at(host_us)
+        if told and self._doubtful(list(told.values()), common_us, host_us):
+            return False
+        if told:
+            self._compare(latched, list(told), common_us)
+            self._seen.append((host_us, common_us))
             self._fit()
-        if self._line is None or not answered:
+        if self._line is None or not told:
             self._sync_us, self._sync_host_us = now_us, host_us
         else:
-            late_us = self._late_us(host_us)
-            late = float(_median(late_us[answered]))
-            self._rest_us = late - late_us
-            self._rest_us[np.abs(self._rest_us) > COARSEST_CLOCK_US] = 0.0
-            self._sync_host_us = host_us + late
-            due_us = self._shown_us + passed_us / (1 + self.drift)
-            self._sync_us = self._slew(float(_median(due_us[answered])))
+            due_us = self._sync_us + (common_us - self._common_us) / (1 + self._rate)
+            at_us, ahead_us = self._line
+            self._sync_host_us = common_us - ahead_us - self._rate * (host_us - at_us)
+            self._sync_us = self._slew(due_us)
         if self._master is not None:
-            known = latched[self._master] is not None
-            self._sync_us = float(self._free_us[self._master]) if known else now_us
-        for drive in answered:
-            self._shown_us[drive] = self._sync_us
-            off_us = (latched[drive] or 0) - self._sync_us - self._kept_us[drive]
-            self.offset_us[drive] = wrapped(off_us + self._rest_us[drive])
+            self._sync_us = self._count_master(latched[self._master], now_us)
+        self._common_us = common_us
+        self._go_on(latched, bool(told))
+        return True
 
     def stamp(self, drive: int, after_us: float) -> int:
-        """What to tell a drive (0x1013) `after_us` after the last SYNC, which it answered."""
-        ahead_us = -self.drift[drive] * (after_us + self._period_us / 2) - self._rest_us[drive]
-        return round(self._sync_us + self._kept_us[drive] + ahead_us) % WRAP_US
+        """What to tell a drive (0x1013) `after_us` after the last SYNC, which it has answered."""
+        drift = float(self.drift[drive])
+        periods = min(max(1.0, 2 * NEAR // max(abs(drift), 1e-9)), MOST_PERIODS)
+        ahead_us = -drift * (after_us + periods * self._period_us / 2)
+        return round(self._sync_us + float(self._kept_us[drive]) + ahead_us) % WRAP_US
+
+    def wants_stamp(self, drive: int) -> bool:
+        """Whether a drive has to be corrected now, or will be off before it can be again."""
+        if self._shown[drive] is None:
+            return False
+        error_us = self._error_us(drive)
+        until_us = error_us + float(self.drift[drive]) * self._period_us
+        near_us = 1.2 * NEAR * self._period_us + TICK_US / 2
+        return not self.steady or max(abs(error_us), abs(until_us)) > near_us
+
+    def told(self, drive: int) -> int | None:
+        """What its clock was at the last SYNC, before it is corrected, whoever has told of it."""
+        shown = self._shown[drive]
+        known = shown is not None and self._at_us[drive] == self._common_us
+        return round(shown) % WRAP_US if known and shown is not None else None
 
     def corrected(self, drive: int, stamp: int) -> None:
         """The drive has got its stamp of the last SYNC."""
@@ -145,21 +194,71 @@ class MasterClock:
         The time of a path is that of the drive's clock since its zero, so putting right what a
         clock was off at the zero would put the path out of step by just that.
         """
-        self._kept_us += np.nan_to_num(self.offset_us)
+        for drive in range(len(self._shown)):
+            if self.told(drive) is not None:
+                self._kept_us[drive] += self._error_us(drive)
         self.offset_us[:] = 0.0
 
     def release(self) -> None:
         """No path any more: all drives go back to the master's time."""
         self._kept_us[:] = 0.0
 
-    def _count(self, latched: Sequence[int | None]) -> np.ndarray:
-        """Go on counting; what has passed on each drive's clock since it last answered."""
-        before_us = self._free_us.copy()
-        for drive, (clock, shown) in enumerate(zip(latched, self._shown, strict=True)):
+    # ------------------------------------------------------------------ inside
+
+    def _error_us(self, drive: int) -> float:
+        return wrapped((self._shown[drive] or 0) - self._sync_us - float(self._kept_us[drive]))
+
+    def _common_at(self, host_us: float) -> float:
+        """The common clock by the host's, near the last SYNC."""
+        return self._common_us + (host_us - self._sync_host_us) * (1 + self._rate)
+
+    def _doubtful(self, told_us: Sequence[float], common_us: float, host_us: float) -> bool:
+        """Whether the few that have told may be wrong. Of three the median is believed, and all
+        that there are."""
+        known = sum(shown is not None for shown in self._shown)
+        if len(told_us) > 2 or len(told_us) == known or not self.steady:
+            return False
+        off_us = abs(common_us - self._common_at(host_us))
+        noise_us = max(DOUBT_NOISE * self.noise_us, DOUBT_FLOOR_US)
+        return max(told_us) - min(told_us) > DOUBT_US or off_us > noise_us
+
+    def _compare(
+        self, latched: Sequence[int | None], drives: Sequence[int], common_us: float
+    ) -> None:
+        """How far the quartzes of these drives differ from the rate of the common clock."""
+        for drive in drives if len(drives) > 1 else ():
+            clock, passed_us = latched[drive], common_us - float(self._at_us[drive])
+            if clock is None or passed_us <= 0:
+                continue
+            count = self._compared[drive] = self._compared[drive] + 1
+            rate = wrapped(clock - (self._shown[drive] or 0)) / passed_us - 1
+            bend = rate - float(self._faster[drive])
+            if count > MIN_FIT:
+                bend = min(max(bend, -BEND), BEND)
+            self._faster[drive] += max(1 / count, LEARN) * bend
+
+    def _count_master(self, clock: int | None, now_us: float) -> float:
+        """The time by the clock of the drive that is the master."""
+        assert self._master is not None
+        if clock is None:
+            return now_us
+        shown = self._shown[self._master]
+        self._free_us += clock if shown is None else wrapped(clock - shown)
+        return self._free_us
+
+    def _go_on(self, latched: Sequence[int | None], counted: bool) -> None:
+        """What each clock was at this SYNC, as it has told or as it follows."""
+        for drive, clock in enumerate(latched):
+            shown = self._shown[drive]
             if clock is not None:
-                self._free_us[drive] += clock if shown is None else wrapped(clock - shown)
                 self._shown[drive] = clock
-        return self._free_us - before_us
+                self.offset_us[drive] = self._error_us(drive)
+            elif shown is not None and counted:
+                passed_us = self._common_us - float(self._at_us[drive])
+                self._shown[drive] = shown + passed_us * (1 + float(self._faster[drive]))
+            else:
+                continue
+            self._at_us[drive] = self._common_us
 
     def _slew(self, due_us: float) -> float:
         """The master's time, due to be `due_us`, on its way to that of the lines."""
@@ -167,29 +266,21 @@ class MasterClock:
         return due_us + min(most_us, max(-most_us, self._sync_host_us - due_us))
 
     def _fit(self) -> None:
-        """A line per drive: how far it is ahead of the host, over the host's time."""
+        """How far the common clock is ahead of the host, over the host's time."""
         if len(self._seen) < MIN_FIT:
             return
         seen = np.array(self._seen)
-        x, ahead = seen[:, :1] - seen[-1, 0], seen[:, 1:] - seen[:, :1]
-        # The noise is the host's and common to all drives: one verdict per SYNC.
-        bent = ahead - self.drift * x
-        noise = (bent - _median(bent)).sum(axis=1) / len(self.drift)
+        x, ahead = seen[:, 0] - seen[-1, 0], seen[:, 1] - seen[:, 0]
+        noise = ahead - self._rate * x
         deviation = np.abs(noise - _median(noise))
         self.noise_us = float(_median(deviation))
         good = deviation <= max(OUTLIER * self.noise_us, OUTLIER_FLOOR_US)
         self.outliers += int(not good[-1])
         x, ahead = x[good], ahead[good]
-        middle, dx = ahead.mean(axis=0), x - x.mean()
-        slope = (dx * (ahead - middle)).sum(axis=0) / (dx * dx).sum()
-        self.drift = np.clip(slope, -MAX_DRIFT, MAX_DRIFT)
-        self._line = seen[-1, 0], middle - self.drift * x.mean()
-
-    def _late_us(self, host_us: float) -> np.ndarray:
-        """How much later than by the host's clock a SYNC was, going by each drive's line."""
-        assert self._line is not None
-        at_us, ahead_us = self._line
-        return self._free_us - host_us - ahead_us - self.drift * (host_us - at_us)
+        middle, dx = float(ahead.mean()), x - x.mean()
+        slope = float((dx * (ahead - middle)).sum() / (dx * dx).sum())
+        self._rate = min(max(slope, -MAX_DRIFT), MAX_DRIFT)
+        self._line = float(seen[-1, 0]), middle - self._rate * float(x.mean())
 
 
 def time_of_day(unix_s: float) -> bytes:

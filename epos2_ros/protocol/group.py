@@ -462,7 +462,17 @@ class Group:
         self._watch_words()
         self._progress()
         self.time.advance(now_us, self._may_sync())
+        self._judge_followed()
         self.deadline_us = min(self.time.deadline_us(self._may_sync()), self._phase_deadline_us())
+
+    def _judge_followed(self) -> None:
+        """Clocks at the last SYNC that were not asked for tell where an axis was to be as well."""
+        followed, self.time.followed = self.time.followed, []
+        for index, clock in followed:
+            drive = self.time.drives[index]
+            drive.latched = clock
+            told = frozenset({(epos2.HIGH_RESOLUTION_TIME_STAMP, 0)})
+            self._off_path(drive, self._mode_of(drive).on_report(drive, told, self._now_us))
 
     def _may_sync(self) -> bool:
         """Between arming and the start no SYNC but the start's; none overtakes a controlword."""

@@ -87,7 +87,7 @@ class Machine:
         buffer_time_ms = config.buffer_time * 1e3
         stream_ahead_ms = config.stream_ahead * 1e3
         feeder = Feeder(axes, buffer_time_ms, stream_ahead_ms, config.tolerance, config.smoothness)
-        reads = BufferReads(axes, buffer_time_ms)
+        reads = BufferReads(axes)
         return Interpolated(axes, feeder, reads, self.path_time, self.out)
 
     # ------------------------------------------------------------------ frames and time

@@ -1,14 +1,17 @@
 """TIME, SYNC, the time stamps that follow each SYNC, and the host's heartbeat.
 
-After a SYNC each EPOS2 is asked by SDO what its clock was at it (0x1013): by maxon's EDS of 2011
-and 2013 no PDO can carry it to the host. Copley's say it in one. All are asked at once, at every
-SYNC where that is no more than READ_SHARE of the bus; at the others the clocks run on, uncorrected.
+After a SYNC an EPOS2 is asked by SDO what its clock was at it (0x1013): by maxon's EDS of 2011
+and 2013 no PDO can carry it to the host. Copley's say it in one. One drive tells when the SYNC was,
+and so what all clocks were (`clock`): so they are asked in turn, one at a SYNC, now and then another
+beside it, so that their quartzes can be compared; and all of them, at once, while that is not known
+yet, where a path begins, and where what was told is in doubt. No more than READ_SHARE of the bus is
+taken for it; at the SYNCs between the clocks run on, uncorrected.
 READING: the latched time that is read is not moved by the correction that follows it.
 
 One correction per SYNC and drive (application note, 2.4), and only for a drive that has answered
-the SYNC with its own clock: a stamp for a SYNC that it missed would move it by a whole period. A
-SYNC goes out when the stamps of the last one are seen on the bus, or a drive could take a stamp
-for that of the next.
+the SYNC (by a PDO): a stamp for a SYNC that it missed would move it by a whole period. A SYNC goes
+out when the stamps of the last one are seen on the bus, or a drive could take a stamp for that of
+the next.
 
 Fast drives are corrected right after the SYNC, slow ones half a period later. Fast and slow drives
 part the fastest; so the distance between any two never grows for longer than half a period.
@@ -22,7 +25,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from statistics import fmean, median
 
 from epos2_ros.protocol import epos2
@@ -38,6 +41,9 @@ OPERATIONAL = b"\x05"
 ANSWER_US = 500.0  # per axis, for its two synchronous TPDOs, before the next SYNC
 READ_BITS = 250  # to read a drive's clock: two SDO frames
 READ_SHARE = 0.05  # of the bus, for all drives
+CLOCK_ROUND_US = 1_000_000.0  # within so long each is asked once, if the bus can take that, …
+LONGEST_ROUND_US = 1_600_000.0  # … and within this whatever it takes
+PAIR_EVERY = 10  # reads of one drive; then of two together
 EARLY_SHARE = 0.25  # of the period, by which it may be more: SYNCs come when they can
 FOLLOW_UP_US = 40_000.0  # the time stamps wait no longer for a drive's answer, …
 FOLLOW_UP_SHARE = 0.4  # … and no longer than this share of the period
@@ -75,10 +81,16 @@ class Timekeeper:
         self.period_us = period_us
         self.producer = producer
         master_index = None if master is None else self.drives.index(master)
-        self._asked = [drive.node_id for drive in self.drives if not drive.tells_clock]
-        self._round_us = len(self._asked) * READ_BITS / READ_SHARE / bitrate * 1e6
-        self._round_due_us = -math.inf  # the next SYNC at which all are asked
-        corrected_us = period_us * max(1, math.ceil(self._round_us / period_us - EARLY_SHARE))
+        self._asked = [n for n, drive in enumerate(self.drives) if not drive.tells_clock]
+        read_us = READ_BITS / READ_SHARE / bitrate * 1e6  # from one to the next, on average
+        corrected_us = period_us * max(1, math.ceil(read_us / period_us - EARLY_SHARE))
+        self._pause_us = max(read_us, corrected_us) if self._asked else 0.0
+        self._affords_all = len(self._asked) * read_us <= period_us
+        self._each = _each(len(self._asked), corrected_us, read_us)
+        self._read_due_us = -math.inf  # the next SYNC at which clocks are read
+        self._turn = self._pairs = 0  # whose turn it is to be asked, and how often two were
+        self._told_by: Set[int] = frozenset()  # who is to tell of the last SYNC
+        self._ask_all = True  # at the next SYNC
         self.clock = MasterClock(len(drives), corrected_us, master_index)
         self.sync_count = 0
         self.often_us = math.inf  # from SYNC to SYNC, where the period is too long
@@ -114,6 +126,7 @@ class Timekeeper:
         self._ahead_us: dict[int, float] = {}  # how far each was from what the clock was to be
         self._slow: list[int] = []  # drives to be corrected half a period after the SYNC
         self._stamps: dict[int, int] = {}  # by drive: handed over, not yet seen on the bus
+        self.followed: list[tuple[int, int]] = []  # what clocks were that were not asked for
 
     @property
     def produces(self) -> bool:
@@ -138,7 +151,7 @@ class Timekeeper:
         self.well = True
         self._syncs_us.clear()
         self._delays_us.clear()
-        self._round_due_us = now_us
+        self._read_due_us, self._ask_all = now_us, True
         self._out.frames.append(Frame(epos2.TIME, time_of_day))
         if self.produces:
             self._sync_due_us = now_us + self.period_us
@@ -158,22 +171,42 @@ class Timekeeper:
         self._reads = self._reads_at(t_us)
         if self._reads:
             self._unstamped_us = t_us
-            self._round_due_us = t_us + max(self._round_us, self.period_us)
-            if self._asked:
-                self._out.polls.append(Poll(tuple(self._asked), epos2.CLOCK_AT_SYNC))
+            self._read_due_us = t_us + self._pause_us
+            asked = self._whom()
+            tell = set(range(len(self.drives))).difference(self._asked)
+            self._told_by = tell.union(asked)
+            if asked:
+                node_ids = tuple(self.drives[drive].node_id for drive in asked)
+                self._out.polls.append(Poll(node_ids, epos2.CLOCK_AT_SYNC))
         if begins_path:
             self._path_sync_us, self.path_began_us = math.inf, None
 
     def _reads_at(self, sync_us: float) -> bool:
-        """Whether the clocks are read at this SYNC.
-
-        At each while there is no line yet, where a path begins and before, and where a drive is
-        the clock master: it corrects the others at each.
-        """
-        about_us = self._path_sync_us - 2 * self.period_us
-        always = not self.clock.settled or self._begins_path or self._master is not None
+        """Whether clocks are read at this SYNC: at each, if the bus can take that."""
         early_us = EARLY_SHARE * self.period_us
-        return always or sync_us >= min(about_us, self._round_due_us - early_us)
+        return self._asks_all or sync_us >= self._read_due_us - early_us
+
+    @property
+    def _asks_all(self) -> bool:
+        """While the quartzes are not known, where a path begins and before, where what was told is
+        in doubt; and where a drive is the clock master: it corrects the others at each SYNC."""
+        begins = self._begins_path or self._last_sync_us >= self._path_sync_us - 2 * self.period_us
+        unknown = not self.clock.settled or (self._affords_all and not self.clock.steady)
+        return unknown or self._ask_all or begins or self._master is not None
+
+    def _whom(self) -> Sequence[int]:
+        """The drives that are asked at this SYNC, of those that have to be."""
+        asked = self._asked
+        if self._asks_all or len(asked) < 2:
+            return asked
+        count = self._each if self.clock.steady else max(self._each, 2)
+        self._turn += count
+        drives = [asked[(self._turn - n) % len(asked)] for n in range(count)]
+        if count == 1 and len(asked) == len(self.drives) and self._turn % PAIR_EVERY == 0:
+            self._pairs += 1
+            other = 1 + self._pairs % (len(asked) - 1)
+            drives.append(asked[(self._turn + other) % len(asked)])
+        return drives
 
     def disturbed(self) -> None:
         """A SYNC or TIME of another host was on the bus: it has latched or set the drives' clocks,
@@ -205,8 +238,6 @@ class Timekeeper:
         self._missed[drive], self._stray[drive] = 0, ""
         self._read_us[drive] = self._unstamped_us
         self._latched[drive] = latched
-        if None not in self._latched:
-            self._follow_up(now_us)
 
     def on_stamp(self, drive: int) -> None:
         """A drive has got its time stamp."""
@@ -217,7 +248,7 @@ class Timekeeper:
 
     def advance(self, now_us: float, may_sync: bool) -> None:
         """Send what is due; `may_sync` says whether a SYNC may go out now."""
-        if now_us >= self._follow_up_due_us:
+        if now_us >= self._follow_up_due_us or self._all_told:
             self._follow_up(now_us)
         if self._slow and now_us >= self._slow_due_us:
             slow, self._slow = self._slow, []
@@ -348,6 +379,15 @@ class Timekeeper:
         return max(self._unstamped_us, self._asked_us) + wait_us
 
     @property
+    def _all_told(self) -> bool:
+        """Whether nothing is waited for any more before the time stamps."""
+        return (
+            self._unstamped_us < math.inf
+            and all(self._latched[drive] is not None for drive in self._told_by)
+            and not any(drive.unanswered for drive in self.drives)
+        )
+
+    @property
     def _slow_due_us(self) -> float:
         return self._last_sync_us + self.period_us / 2
 
@@ -355,38 +395,49 @@ class Timekeeper:
         """The drives have answered, or had their time: correct those that have."""
         if self._unstamped_us == math.inf:
             return
-        self._take_in()
+        told = [drive for drive, value in enumerate(self._latched) if value is not None]
+        sure = self._take_in()
         self._unstamped_us = math.inf
-        answered = [drive for drive, value in enumerate(self._latched) if value is not None]
+        off = any(abs(off_us) > ASTRAY_US / 2 for off_us in self._off_us)
+        self._ask_all = not sure or not told or off or any(self._stray)
         if self._master is not None:
             stamp = self._latched[self._master]
             if stamp is not None:
-                for drive in answered:
+                for drive in told:
                     self.clock.corrected(drive, stamp)
         else:
-            self._put_right(answered, now_us)
+            self._put_right(told, sure, now_us)
         self.well = not any(self.trouble(drive, True) for drive in range(len(self.drives)))
 
-    def _take_in(self) -> None:
-        """What the drives have answered, and which have not."""
-        clock = self.clock
+    def _take_in(self) -> bool:
+        """What the drives have told, and which have not; False: it is in doubt."""
+        clock, sure = self.clock, True
         if all(self._stray) and not clock.settled:
             clock.begin_anew()
             self._missed = [0] * len(self.drives)
             self._stray = [""] * len(self.drives)
         elif self.drives:  # else there is no clock to keep
-            clock.on_sync(self._unstamped_us, self._latched)
+            sure = clock.on_sync(self._unstamped_us, self._latched)
             self._compare()
+        return sure
 
-    def _put_right(self, answered: Sequence[int], now_us: float) -> None:
-        """The drives that have answered."""
+    def _put_right(self, told: Sequence[int], sure: bool, now_us: float) -> None:
+        """The drives that have answered the SYNC, by what some of them have told of it."""
         clock = self.clock
         if self._begins_path:
             clock.keep()
-            self.path_began_us = clock.sync_us if answered and clock.settled else None
+            self.path_began_us = clock.sync_us if told and clock.settled else None
+        if not (sure and told):
+            return
+        answered = [n for n, drive in enumerate(self.drives) if not drive.unanswered]
+        for drive in answered:
+            clock_us = clock.told(drive)
+            if clock_us is not None and drive not in told:
+                self.followed.append((drive, clock_us))
+        wanting = [drive for drive in answered if clock.wants_stamp(drive)]
         if self._last_sync_us < self._path_sync_us:
-            self._slow = [drive for drive in answered if clock.drift[drive] < 0]
-        self._correct([drive for drive in answered if drive not in self._slow], now_us)
+            self._slow = [drive for drive in wanting if clock.drift[drive] < 0]
+        self._correct([drive for drive in wanting if drive not in self._slow], now_us)
 
     def _compare(self) -> None:
         """Who has not answered, and whose clock is off, going by the others'.
@@ -400,8 +451,10 @@ class Timekeeper:
             common_us = max(common_us, -self.seen_late_us)
             common_us = min(common_us, self._line_late_us)
         for drive, latched in enumerate(self._latched):
-            self._missed[drive] += latched is None and bool(self._stray[drive])
             self._unread_us[drive] = self._last_sync_us - self._read_us[drive]
+            if drive not in self._told_by:
+                continue
+            self._missed[drive] += latched is None and bool(self._stray[drive])
             self._off_us[drive] = self._ahead_us.get(drive, common_us) - common_us
 
     def _correct(self, drives: Sequence[int], now_us: float) -> None:
@@ -411,3 +464,13 @@ class Timekeeper:
             stamp = self.clock.stamp(drive, now_us - self._last_sync_us)
             self._stamps[drive] = stamp
             self._out.frames.append(self.drives[drive].time_stamp(stamp))
+
+
+def _each(drives: int, period_us: float, read_us: float) -> int:
+    """How many of the drives are asked at a SYNC, from one to the next of which `period_us` pass.
+
+    `read_us`: from one read to the next, where reads take their share of the bus.
+    """
+    wanted = math.ceil(drives * period_us / CLOCK_ROUND_US)
+    needed = math.ceil(drives * period_us / LONGEST_ROUND_US)
+    return max(1, needed, min(wanted, math.floor(period_us / read_us)))

@@ -246,7 +246,7 @@ def test_plan_and_driver_agree(monkeypatch):
 
     bench = Bench(config)
     bench.enable()
-    bench.run(0.37)
+    bench.run(6.37)  # the clocks are known by then
     bench.frames.clear()
     sent_us = bench.now_us
     bench.path.submit(trajectory, None, sent_us)

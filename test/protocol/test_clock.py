@@ -41,10 +41,12 @@ def run_to_sync(made: Bench) -> None:
 
 @pytest.mark.parametrize(
     ("jitter_us", "noise_us", "limit_us"),
-    [(0.0, 0.0, 10), (100.0, 20.0, 10.5), (1000.0, 20.0, 10.5), (1000.0, 200.0, 200)],
+    [(0.0, 0.0, 12), (100.0, 20.0, 10.5), (1000.0, 20.0, 10.5), (1000.0, 200.0, 200)],
 )
 def test_clocks_stay_together_whatever_the_hosts_time_is_worth(jitter_us, noise_us, limit_us):
-    """Drives from −100 to +100 ppm; two of them part by 20 µs in a SYNC period of 0.1 s."""
+    """Drives from −100 to +100 ppm; two of them part by 20 µs in a SYNC period of 0.1 s. (SYNCs
+    that are exactly so far apart are the worst: what whole microseconds hide is always the same.)
+    """
     seen = watch(bench(jitter_us, noise_us, 6, 0.1), 10.0)
     assert seen.worst <= limit_us
     assert np.median(seen.spread) <= 5
@@ -102,15 +104,18 @@ def test_one_late_time_stamp_moves_no_drive():
 
 
 def test_a_clock_far_off_is_a_fault_and_is_set_anew():
-    """Half a SYNC period off, an answer can't be taken for one to this SYNC."""
+    """Half a SYNC period off, an answer can't be taken for one to this SYNC. (A clock that takes
+    time stamps is right again with the next.)"""
     made = Bench(drives=drives(6, record=False))
     made.enable()
     made.run(2.0)
     made.drives[3].clock._offset_us += 80_000
-    made.run(1.0)
+    made.drives[3]._on_timestamp = lambda value: None
+    made.run(1.7)  # until it is asked, and half a second
     assert made.group.phase is Phase.FAULT
     assert made.group.reason == "joint_4 (node 4): its clock is off by +80.0 ms"
     assert made.lost() == [3]
+    del made.drives[3]._on_timestamp
     made.bring_up()
     made.wait(made.group.reset_fault())
     made.enable()
@@ -121,11 +126,15 @@ def test_a_clock_far_off_is_a_fault_and_is_set_anew():
 # ---------------------------------------------------------------------------- frame by frame
 
 
-@pytest.mark.parametrize(("count", "every"), [(1, 1), (6, 1), (32, 2)])
-def test_one_stamp_for_each_drive_between_a_sync_and_the_next(count, every):
-    """At every SYNC, or where reading the clocks would be more than a twentieth of the bus (250
-    bits a drive), at every second."""
-    made = Bench(DriverConfig(axes=axes(count)), drives(count, record=False))
+@pytest.mark.parametrize(
+    ("count", "bitrate", "every"), [(1, 1_000_000, 1), (6, 1_000_000, 1), (2, 20_000, 3)]
+)
+def test_one_stamp_for_each_drive_between_a_sync_and_the_next(count, bitrate, every):
+    """At every SYNC, or where to read a clock (250 bits) would be more than a twentieth of the bus
+    at every third."""
+    config = DriverConfig(axes=axes(count), bitrate=bitrate)
+    group = [Epos2(n, drift_ppm=60.0 * (-1) ** n, bitrate=bitrate) for n in range(1, count + 1)]
+    made = Bench(config, group)
     made.enable()
     made.run(1.0)
     run_to_sync(made)
@@ -143,6 +152,58 @@ def test_one_stamp_for_each_drive_between_a_sync_and_the_next(count, every):
     for number in with_stamps:
         assert sorted(periods[number]) == list(range(1, count + 1))
     assert set(np.diff(with_stamps)) == {every}
+
+
+def test_clocks_are_read_in_turn_and_all_where_a_motion_begins():
+    """One at each SYNC, now and then two; each within a second."""
+    made = Bench(drives=drives(6, record=False))
+    made.enable()
+    made.run(8.0)
+    made.frames.clear()
+    made.run(10.0)
+    told = {n: [t for t, f, _ in made.frames if f.can_id == 0x580 + n] for n in NODES}
+    syncs = sum(frame.can_id == SYNC for _, frame, _ in made.frames)
+    assert syncs <= sum(map(len, told.values())) <= 1.2 * syncs
+    assert max(max(np.diff(times)) for times in told.values()) < 1e6
+    made.frames.clear()
+    move = Trajectory(tuple(a.joint for a in made.config.axes), np.array([0.3]), np.ones((1, 6)))
+    made.path.submit(move, None, made.now_us)
+    run_to_sync(made)
+    made.run(0.03)
+    assert made.group.phase in (Phase.STARTING, Phase.MOVING)
+    read = [f.can_id - 0x600 for _, f, _ in made.frames if f.data == bytes.fromhex("4013100000000000")]
+    assert sorted(set(read)) == list(NODES)
+
+
+def test_a_drive_that_loses_little_is_corrected_less_often():
+    group = [Epos2(n, drift_ppm=ppm) for n, ppm in enumerate((100, 15, 1), 1)]
+    made = Bench(DriverConfig(axes=axes(3)), group)
+    made.enable()
+    made.run(8.0)
+    made.frames.clear()
+    made.run(10.0)
+    stamps = [sum(f.can_id == STAMP + n for _, f, _ in made.frames) for n in (1, 2, 3)]
+    assert stamps[0] >= 99
+    assert 30 <= stamps[1] <= 60
+    assert stamps[2] <= 20
+    assert np.ptp(clocks(made)) <= 10
+
+
+@pytest.mark.parametrize("jump_us", [60.0, 400.0, 3_000.0])
+def test_a_clock_that_jumps_takes_no_other_along(jump_us):
+    """It tells when a SYNC was, in its turn; what it says is compared with the host and others."""
+    made = Bench(drives=drives(6, record=False))
+    made.enable()
+    made.run(8.0)
+    before_us = np.delete(clocks(made), 2) - made.now_us
+    made.drives[2].clock._offset_us += jump_us
+    most_us = 0.0
+    for _ in range(200):
+        made.run(0.01)
+        moved = np.delete(clocks(made), 2) - made.now_us - before_us
+        most_us = max(most_us, np.abs(moved).max())
+    assert most_us <= 25 if jump_us > 200 else most_us <= jump_us + 25
+    assert np.ptp(clocks(made)) <= 12
 
 
 def test_a_stamp_tells_when_the_sync_was():
@@ -331,8 +392,8 @@ def test_stamps_keep_any_drives_at_the_hosts_time(drifts, noise_us, begin_us, se
             clock.corrected(drive, stamp)
         if n > 20:
             middle = np.array(values) + np.array(drifts) * period_us / 2
-            assert np.abs(middle - begin_us - t_us).max() <= 5 * noise_us + 3
-            assert np.ptp(middle) <= 0.2 * noise_us + 3
+            assert np.abs(middle - begin_us - t_us).max() <= 5 * noise_us + 6
+            assert np.ptp(middle) <= 0.2 * noise_us + 6  # one that loses little may be off by more
 
 
 @pytest.mark.parametrize(

@@ -3,8 +3,8 @@
 No PDO can carry the free records of an EPOS2 (the application note maps 0x60C4-02, the maker's
 dictionaries don't allow it), so the host keeps books (`buffer_account`) and asks now and then:
 every drive before a start, which has to report every record that was sent; in motion one after the
-other, so that each is asked twice while what is ahead in its buffer lasts. A lost record is then
-found before it is due. One answer in motion may be wrong by what was on its way: the drive is asked
+other, each once in LEVEL_ROUND_US. A lost record may then be found before it is due, and else by the
+position demand (`path_audit`) once it is. One answer in motion may be wrong by what was on its way: the drive is asked
 again soon, and a second one in a row is a fault.
 
 Somebody else does the asking, by SDO; the answer is seen on the bus as any other frame.
@@ -18,19 +18,17 @@ from collections.abc import Sequence
 
 from epos2_ros.protocol.pvt.axis import PvtAxis
 
+LEVEL_ROUND_US = 2_000_000.0
 ASK_AGAIN_US = 50_000.0  # a drive whose answer was not what it has to be
 
 
 class BufferReads:
-    """Puts indices of axes to be asked into `outbox`.
+    """Puts indices of axes to be asked into `outbox`."""
 
-    `buffer_time_ms` of motion is kept ahead in each drive.
-    """
-
-    def __init__(self, axes: Sequence[PvtAxis], buffer_time_ms: float) -> None:
+    def __init__(self, axes: Sequence[PvtAxis]) -> None:
         self.outbox: deque[int] = deque()
         self._axes = axes
-        self._pause_us = 500 * buffer_time_ms / max(len(axes), 1)
+        self._pause_us = LEVEL_ROUND_US / max(len(axes), 1)
         self.begin()
 
     def begin(self) -> None:
