@@ -110,12 +110,12 @@ def test_a_clock_far_off_is_a_fault_and_is_set_anew():
     made.enable()
     made.run(2.0)
     made.drives[3].clock._offset_us += 80_000
-    made.drives[3]._on_timestamp = lambda value: None
+    made.drives[3].clock.correct = lambda timestamp: 0.0
     made.run(1.7)  # until it is asked, and half a second
     assert made.group.phase is Phase.FAULT
     assert made.group.reason == "joint_4 (node 4): its clock is off by +80.0 ms"
     assert made.lost() == [3]
-    del made.drives[3]._on_timestamp
+    del made.drives[3].clock.correct
     made.bring_up()
     made.wait(made.group.reset_fault())
     made.enable()

@@ -76,7 +76,11 @@ def test_states_go_on_through_every_stop_and_after_it(made, stop):
     motion = made.group.motion
     states(made, whereabouts, 1.0)
     stop(made)
-    seen = states(made, whereabouts, 2.0)
+    seen, off = [], []
+    for _ in range(100):
+        seen += states(made, whereabouts, 0.02)
+        off.append(off_qc(made, seen[-1]))
+    assert max(off) <= 60.0  # 2 ms at the speed at which they were; SYNCs are 10 ms apart
     assert all(len(state) == 3 for state in seen)
     jumps = np.diff([[axis.position_qc for axis in state] for state in seen], axis=0)
     assert np.abs(jumps).max() < 1.2 * np.abs(jumps[0]).max()  # it only gets slower
