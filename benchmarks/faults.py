@@ -162,11 +162,11 @@ def _leaves_its_path_us(stage: Stage) -> float:
 
 
 def _watch(stage: Stage, kind: Kind, since_us: float) -> Measured:
-    """Until all shafts have stood for a while."""
+    """Until all shafts have stood for a while, and what has happened should be known."""
     still, places, began = 0, [_shaft_qc(drive) for drive in stage.drives], [0.0, 0.0, 0.0]
     speeds = [0.0] * 3
-    rest_us = since_us
-    while still < 20:
+    rest_us, known_us = since_us, since_us + (kind.bound_s + 0.1) * 1e6
+    while still < 20 or stage.now_us < known_us:
         if kind.host_lives:
             stage.run(LOOK_S)
         else:

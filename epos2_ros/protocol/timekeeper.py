@@ -1,11 +1,11 @@
 """TIME, SYNC, the time stamps that follow each SYNC, and the host's heartbeat.
 
 After a SYNC an EPOS2 is asked by SDO what its clock was at it (0x1013): by maxon's EDS of 2011
-and 2013 no PDO can carry it to the host. Copley's say it in one. One drive tells when the SYNC was,
-and so what all clocks were (`clock`): so they are asked in turn, one at a SYNC, now and then another
-beside it, so that their quartzes can be compared; and all of them, at once, while that is not known
-yet, where a path begins, and where what was told is in doubt. No more than READ_SHARE of the bus is
-taken for it; at the SYNCs between the clocks run on, uncorrected.
+and 2013 no PDO can carry it to the host. Copley's say it in one. One drive tells when the SYNC
+was, and that what all clocks were (`clock`): so they are asked in turn, one at a SYNC, now and then
+another beside it, so that their quartzes can be compared; and all of them, at once, while that is
+not known yet, where a path begins, and where what was told is in doubt. No more than READ_SHARE of
+the bus is taken for it; at the SYNCs between the clocks run on, uncorrected.
 READING: the latched time that is read is not moved by the correction that follows it.
 
 One correction per SYNC and drive (application note, 2.4), and only for a drive that has answered
@@ -435,7 +435,7 @@ class Timekeeper:
             if clock_us is not None and drive not in told:
                 self.followed.append((drive, clock_us))
         wanting = [drive for drive in answered if clock.wants_stamp(drive)]
-        if self._last_sync_us < self._path_sync_us:
+        if self._last_sync_us < self._path_sync_us and self.often_us == math.inf:
             self._slow = [drive for drive in wanting if clock.drift[drive] < 0]
         self._correct([drive for drive in wanting if drive not in self._slow], now_us)
 

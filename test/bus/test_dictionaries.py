@@ -6,6 +6,7 @@ The makers' facts are in `test_sim_maker`, which holds the simulated drive to ma
 from __future__ import annotations
 
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -56,10 +57,19 @@ def test_bring_up_is_the_same_on_both() -> None:
 
 
 @BOTH
-def test_a_lost_record_is_found_by_asking_before_it_is_due(dictionary: Dictionary) -> None:
-    """Long before the axis is off its path: the buffer is read twice in the buffer time."""
-    made = bench(*(Epos2(n, dictionary=dictionary, record=True) for n in (1, 2)))
-    made.path.submit(there_and_back(6.0, joints=2), None, made.now_us)
+@pytest.mark.parametrize(
+    ("buffer_time", "words", "within_s"),
+    [(3.0, "records where .* accounted for", 2.1), (0.5, "its demand is .* off its path", 0.7)],
+)
+def test_a_lost_record_is_found_by_asking_or_once_it_is_due(
+    dictionary: Dictionary, buffer_time: float, words: str, within_s: float
+) -> None:
+    """Each buffer is read once in two seconds; what is due earlier the demand tells, in two SYNCs.
+    The axes are told of it by their halt, whose ramp is included."""
+    drives = [Epos2(n, dictionary=dictionary, record=True) for n in (1, 2)]
+    made = Bench(replace(TWO, buffer_time=buffer_time), drives)
+    made.enable()
+    made.path.submit(there_and_back(10.0, joints=2), None, made.now_us)
     made.run(1.5)
     lost_us: list[float] = []
 
@@ -70,9 +80,9 @@ def test_a_lost_record_is_found_by_asking_before_it_is_due(dictionary: Dictionar
         return False
 
     made.bus.drop = drop
-    with pytest.raises(MotionAborted, match=r"joint_2 .* records where .* accounted for"):
+    with pytest.raises(MotionAborted, match=f"joint_2 .*{words}"):
         made.wait(made.group.motion)
-    assert made.now_us - lost_us[0] < 0.5e6 + 0.3e6  # the halt's ramp included
+    assert made.now_us - lost_us[0] < (within_s + 0.3) * 1e6
 
 
 def test_what_the_buffer_holds_is_told_from_the_books() -> None:
@@ -297,7 +307,7 @@ def test_answers_to_sync_tell_the_velocity(rpm: int, error_qc: int) -> None:
 
 
 def test_a_following_error_that_may_be_any_larger_one_tells_no_position() -> None:
-    """0x20F4 has 16 bits: an axis that is turned by hand while it is off says where it is itself."""
+    """0x20F4 has 16 bits. Where an axis is turned by hand while it is off, TPDO2 says."""
     drive = Bench(TWO).machine.drives[0]
     drive.on_sync(1e5)
     drive.on_pdo(0x281, struct.pack("<iHh", 90_000, 0, 0), 1.1e5)

@@ -171,8 +171,9 @@ def test_clocks_are_read_in_turn_and_all_where_a_motion_begins():
     run_to_sync(made)
     made.run(0.03)
     assert made.group.phase in (Phase.STARTING, Phase.MOVING)
-    read = [f.can_id - 0x600 for _, f, _ in made.frames if f.data == bytes.fromhex("4013100000000000")]
-    assert sorted(set(read)) == list(NODES)
+    request = bytes.fromhex("4013100000000000")
+    read = {f.can_id - 0x600 for _, f, _ in made.frames if f.data == request}
+    assert read == set(NODES)
 
 
 def test_a_drive_that_loses_little_is_corrected_less_often():

@@ -2,10 +2,10 @@
 
 No PDO can carry the free records of an EPOS2 (the application note maps 0x60C4-02, the maker's
 dictionaries don't allow it), so the host keeps books (`buffer_account`) and asks now and then:
-every drive before a start, which has to report every record that was sent; in motion one after the
-other, each once in LEVEL_ROUND_US. A lost record may then be found before it is due, and else by the
-position demand (`path_audit`) once it is. One answer in motion may be wrong by what was on its way: the drive is asked
-again soon, and a second one in a row is a fault.
+every drive before a start, which has to report every record that was sent; in motion one after
+another, each once in LEVEL_ROUND_US. A lost record may then be found before it is due, and else
+by the position demand (`path_audit`) once it is. One answer in motion may be wrong by what was on
+its way: the drive is asked again soon, and a second one in a row is a fault.
 
 Somebody else does the asking, by SDO; the answer is seen on the bus as any other frame.
 """

@@ -144,7 +144,8 @@ class PathAudit:
             self._unanswered_us = t_us
         self._unanswered += 1
         unanswered = self._unanswered - 1  # the last may still be
-        if unanswered < MISSED_ANSWERS or t_us + STAMP_NOISE_US < self._unanswered_us + MISSED_ANSWERS_US:
+        since_us = t_us - self._unanswered_us + STAMP_NOISE_US
+        if unanswered < MISSED_ANSWERS or since_us < MISSED_ANSWERS_US:
             return ""
         return f"{unanswered} SYNCs in a row without its position demand"
 
