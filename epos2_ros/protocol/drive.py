@@ -10,7 +10,6 @@ import math
 import struct
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from epos2_ros.protocol import cia402, epos2
 from epos2_ros.protocol.cia402 import State
@@ -22,7 +21,8 @@ from epos2_ros.protocol.pdo import SYNCHRONOUS, PdoMapping
 from epos2_ros.protocol.sdo import SdoRead, SdoWrite
 
 LARGEST_ERROR_QC = 32_767  # a following error has 16 bits: this may stand for any larger one
-SAMPLES_APART_US = 5_000.0, 1_000_000.0  # so far apart two positions tell a velocity
+SAMPLES_APART_S = 0.005, 1.0  # so far apart two positions tell a velocity
+_NEVER = -math.inf, 0, 0.0, math.inf
 SYNC_ANSWER_AGE_US = 50_000.0  # an answer to SYNC may wait so long for its turn on the bus
 
 
@@ -90,7 +90,7 @@ class Drive:
             (epos2.VELOCITY_ACTUAL, 0) in mapping.objects for mapping in setup.tpdos
         )
         self.acceleration_qc_s2 = 0.0  # then
-        self._before = _NEVER
+        self._before = _NEVER  # a position's time, it, the mean velocity since so long before
         self._event_us = -math.inf  # of the last statusword that came as an event
 
     def __str__(self) -> str:
@@ -136,17 +136,17 @@ class Drive:
         at_sync = t_us == self.sync_us
         if at_sync:
             self.position_sync_us = t_us
-        before, (least_us, most_us) = self._before, SAMPLES_APART_US
-        apart_s = (t_us - before.t_us) / 1e6
-        if apart_s < least_us / 1e6 or not (at_sync or t_us > before.t_us + most_us / 2):
+        (before_us, before_qc, speed, before_s), (least_s, most_s) = self._before, SAMPLES_APART_S
+        apart_s = (t_us - before_us) / 1e6
+        if apart_s < least_s or not (at_sync or apart_s > most_s / 2):
             return
-        if apart_s > most_us / 1e6:  # too long ago to tell anything
-            before = _Sample(t_us, position_qc, 0.0, math.inf)
+        if apart_s > most_s:  # too long ago to tell anything
+            before_qc, speed, before_s = position_qc, 0.0, math.inf
         told = self.velocity * self.velocity_unit if self._tells_velocity else None
-        mean = (position_qc - before.position_qc) / apart_s if told is None else told
-        over_s = apart_s if told is not None else (apart_s + before.apart_s) / 2
-        self.acceleration_qc_s2 = (mean - before.velocity_qc_s) / over_s
-        self._before = _Sample(t_us, position_qc, mean, apart_s)
+        mean = (position_qc - before_qc) / apart_s if told is None else told
+        over_s = apart_s if told is not None else (apart_s + before_s) / 2
+        self.acceleration_qc_s2 = (mean - speed) / over_s
+        self._before = t_us, position_qc, mean, apart_s
         if told is None:
             ahead = mean + self.acceleration_qc_s2 * apart_s / 2
             if ahead * mean <= 0:
@@ -278,18 +278,6 @@ class Drive:
     def time_stamp(self, stamp: int) -> Frame:
         """RPDO3: when the last SYNC was."""
         return Frame(epos2.RPDO3 + self.node_id, stamp.to_bytes(4, "little"))
-
-
-class _Sample(NamedTuple):
-    """Where an axis was, and its mean velocity since `apart_s` before."""
-
-    t_us: float
-    position_qc: int
-    velocity_qc_s: float
-    apart_s: float
-
-
-_NEVER = _Sample(-math.inf, 0, 0.0, math.inf)
 
 
 class _Layout:

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence, Set
+from collections.abc import Sequence
 from statistics import fmean, median
 
 from epos2_ros.protocol import epos2
@@ -89,7 +89,7 @@ class Timekeeper:
         self._each = _each(len(self._asked), corrected_us, read_us)
         self._read_due_us = -math.inf  # the next SYNC at which clocks are read
         self._turn = self._pairs = 0  # whose turn it is to be asked, and how often two were
-        self._told_by: Set[int] = frozenset()  # who is to tell of the last SYNC
+        self._told_by: set[int] = set()  # who is to tell of the last SYNC
         self._ask_all = True  # at the next SYNC
         self.clock = MasterClock(len(drives), corrected_us, master_index)
         self.sync_count = 0

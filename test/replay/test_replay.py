@@ -472,7 +472,7 @@ def test_a_log_that_has_lost_its_beginning_is_entered_where_the_axes_stand(
     tmp_path, replay, monkeypatch
 ):
     monkeypatch.setattr(inputs, "STATE_US", 2e6)
-    made = Recorded(tmp_path / "run.asc", few(AXES, log_size=1.6))
+    made = Recorded(tmp_path / "run.asc", few(AXES, log_size=1.0))
     made.enable()
     made.run(3.0)  # so that the last part but one begins well before the last motion
     for _ in range(2):
