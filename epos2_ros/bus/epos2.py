@@ -14,7 +14,7 @@ from epos2_ros.protocol.sdo import NOT_MAPPABLE
 
 INHIBIT_US = {
     epos2.TPDO1: 5_000,  # the note's example: 5.0 ms
-    epos2.TPDO2: 800_000,
+    epos2.TPDO2: 500_000,  # an axis that is turned by hand while it is off is seen so often
 }
 _LIMITS = ("min_position", "max_position")
 

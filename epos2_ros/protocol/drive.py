@@ -22,6 +22,9 @@ from epos2_ros.protocol.sdo import SdoRead, SdoWrite
 
 LARGEST_ERROR_QC = 32_767  # a following error has 16 bits: this may stand for any larger one
 SAMPLES_APART_S = 0.005, 1.0  # so far apart two positions tell a velocity
+_CONTROLLING = frozenset(
+    {State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE}
+)  # where a drive controls its position
 _NEVER = -math.inf, 0, 0.0, math.inf
 SYNC_ANSWER_AGE_US = 50_000.0  # an answer to SYNC may wait so long for its turn on the bus
 
@@ -102,7 +105,8 @@ class Drive:
         """A PDO of its own, of the right length; the objects it has reported.
 
         A state sampled at a SYNC counts where it is at least as new as that of the last event.
-        Who says what its demand is and how far it is from it says where it is.
+        A drive that controls its position says by its demand, and how far it is from that, where
+        it is.
         """
         layout = self._layouts[cob_id]
         values = layout.read(data)
@@ -300,13 +304,17 @@ class _Layout:
 
 
 def _position(values: Mapping[str, int]) -> int | None:
-    """Where an axis is by these reports; None where they don't say."""
+    """Where an axis is by these reports; None where they don't say.
+
+    READING: what a demand and a following error are in a drive that is off no document says.
+    """
     if "position_qc" in values:
         return values["position_qc"]
     error_qc, demand_qc = values.get("following_error_qc"), values.get("demand_qc")
     if error_qc is None or demand_qc is None or abs(error_qc) >= LARGEST_ERROR_QC:
         return None
-    return demand_qc - error_qc
+    controls = cia402.state_of(values.get("statusword", 0)) in _CONTROLLING
+    return demand_qc - error_qc if controls else None
 
 
 def names(drives: Iterable[Drive]) -> str:

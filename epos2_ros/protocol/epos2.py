@@ -17,9 +17,10 @@ PDOs (note, 3.7 and "Motion Synchronisation"). Identifiers are the predefined co
 | TPDO4 | 480+id  | synchronous (1)    | position demand, statusword, following error       |
 
 TPDO4 repeats the statusword at every SYNC, so that a lost event is made good within one SYNC
-period, and says where the axis was at it: at the demand, less the following error. TPDO2 makes
-good a lost buffer status within its inhibit time, which is long: what it has changes all the time
-in motion. (By the maker's dictionaries a synchronous TPDO comes at each SYNC or not at all.)
+period, and says where the axis was at it, as long as the drive controls its position: at the
+demand, less the following error. TPDO2 says where it is besides, and makes good a lost buffer
+status within its inhibit time, which is long: what it has changes all the time in motion. (By the
+maker's dictionaries a synchronous TPDO comes at each SYNC or not at all.)
 
 Two objects are read by SDO that the note maps into transmit PDOs: how many records are free
 (0x60C4-02), which by the maker's own EDS can't be mapped, and what the drive's clock was at the

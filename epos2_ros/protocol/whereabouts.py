@@ -29,6 +29,7 @@ HEARD_US = 500_000.0  # a drive that was not heard for so long may be anywhere
 EVENT_AGE_US = 600.0  # of a position that comes as an event: half a cycle, and its way on the bus
 EVENT_LATE_US = 10_000.0  # by so much more it may be older: others come first on the bus
 CYCLES_US = 2_000.0  # within so long of a SYNC a drive has its demand from
+SEEN_US = 1_000_000.0  # by now a position of a drive that is off would have come again
 MAX_DELAY_US = 20_000.0
 FORGET = 0.9  # from SYNC to SYNC, of what is known of the delay
 SLOW_QC_S = 3_000.0  # at such velocities a delay is hardly to be seen in whole counts
@@ -173,6 +174,8 @@ class _Axis:
         since_us = drive.sample_us - (0.0 if at_sync else EVENT_AGE_US)
         position_qc, velocity = float(drive.position_qc or 0), drive.velocity_qc_s
         acceleration = drive.acceleration_qc_s2
+        if not at_sync and self._left[0] <= since_us:  # it is off, and has said where it is
+            return position_qc, velocity if t_us < since_us + SEEN_US else 0.0
         if self._left[0] > since_us:
             (since_us, position_qc, velocity), acceleration = self._left, 0.0
         passed_s = min(max(0.0, t_us - since_us), HEARD_US) * 1e-6

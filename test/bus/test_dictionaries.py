@@ -307,13 +307,13 @@ def test_answers_to_sync_tell_the_velocity(rpm: int, error_qc: int) -> None:
 
 
 def test_a_following_error_that_may_be_any_larger_one_tells_no_position() -> None:
-    """0x20F4 has 16 bits. Where an axis is turned by hand while it is off, TPDO2 says."""
+    """0x20F4 has 16 bits."""
     drive = Bench(TWO).machine.drives[0]
     drive.on_sync(1e5)
     drive.on_pdo(0x281, struct.pack("<iHh", 90_000, 0, 0), 1.1e5)
     for n, error_qc in ((2, -32_768), (3, 32_767)):
         drive.on_sync(1e5 * n)
-        drive.on_pdo(0x481, struct.pack("<iHh", 0, 0x0240, error_qc), 1e5 * n + 500)
+        drive.on_pdo(0x481, struct.pack("<iHh", 0, 0x0637, error_qc), 1e5 * n + 500)
     assert drive.position_qc == 90_000
 
 

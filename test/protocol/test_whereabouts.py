@@ -100,6 +100,34 @@ def test_a_blocked_axis_is_where_it_is(made):
     assert off_qc(made, seen[-1]) <= 1.0
 
 
+@pytest.mark.parametrize("stale", [True, False])
+def test_an_axis_that_is_off_and_turned_by_hand_is_where_it_is(made, stale):
+    """No document says what demand and following error of a drive are that is off; here they are as
+    they were when it was switched off, or go on."""
+    whereabouts, drive = Whereabouts(made.machine), made.drives[1]
+    made.path.submit(MOTION, None, made.now_us)
+    made.wait(made.group.motion)
+    made.wait(made.group.disable())
+    entries = [drive.dictionary[index, 0] for index in (0x6062, 0x20F4)]
+    live = [entry.read for entry in entries]
+    for entry in entries if stale else ():
+        entry.read = lambda value=entry.get(): value
+    for _ in range(150):  # a turn of the motor in three seconds
+        drive._motor.position += 2000 / 150
+        drive._motor.measured = round(drive._motor.position)
+        drive._dirty = True
+        (state,) = states(made, whereabouts, 0.02)
+        assert off_qc(made, state) <= 2000 / 3 * 0.55  # half a second of it
+    states(made, whereabouts, 1.2)
+    (state,) = states(made, whereabouts, 0.02)
+    assert off_qc(made, state) <= 1.0
+    assert state[1].velocity_qc_s == 0.0
+    for entry, read in zip(entries, live, strict=True):
+        entry.read = read
+    made.enable()
+    assert made.machine.drives[1].standing_qc == drive._motor.measured
+
+
 def test_a_drive_that_is_not_heard_has_no_state(made):
     whereabouts = Whereabouts(made.machine)
     states(made, whereabouts, 0.1)
