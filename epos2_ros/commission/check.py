@@ -12,6 +12,7 @@ from pathlib import Path
 from types import FrameType
 
 from epos2_ros.bus.driver import Driver
+from epos2_ros.bus.epos2 import INHIBIT_US
 from epos2_ros.commission.dialogue import Dialogue, amount
 from epos2_ros.commission.first_motion import FirstMotion, Hand
 from epos2_ros.commission.place import simulated
@@ -76,7 +77,8 @@ def run(arguments: argparse.Namespace, talk: Dialogue) -> int:
         driver = Driver(_alone(config, axis), on_event=lambda event: _tell(talk, event))
         stack.callback(driver.close)
         driver.configure()
-        first = FirstMotion(driver, axis, talk, 2 * config.sync_period, hand)
+        settle_s = max(2 * config.sync_period, max(INHIBIT_US.values()) / 1e6 + 0.1)
+        first = FirstMotion(driver, axis, talk, settle_s, hand)
         steps: dict[str, Callable[[], bool]] = {
             "position": first.position,
             "limits": first.limits,

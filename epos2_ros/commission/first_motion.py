@@ -113,7 +113,10 @@ class FirstMotion:
             lambda: f"  {self._in_words(self._here())}, {self._here() - before:+.5g} {unit}",
         )
         talk.clear()
-        return talk.amount(f"by how much did you turn it [{unit}]? (empty: skip)", unit)
+        by = talk.amount(f"by how much did you turn it [{unit}]? (empty: skip)", unit)
+        if by is not None:
+            time.sleep(self._settle_s)  # where nothing changes any more nothing comes
+        return by
 
     def _better_scale(self, ratio: float) -> str:
         axis = self._axis

@@ -232,7 +232,7 @@ def bench(answers: str, drive: str = "epos2", **axis: Any) -> Iterator[tuple[Any
             out = io.StringIO()
 
             talk = Dialogue(io.StringIO(answers), out)
-            yield FirstMotion(driver, config, talk, 0.2), simulator, made[0], out, driver
+            yield FirstMotion(driver, config, talk, 0.6), simulator, made[0], out, driver
         finally:
             driver.close()
             simulator.stop()

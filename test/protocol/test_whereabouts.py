@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 from simulated_time import Bench, axes
@@ -110,12 +112,10 @@ def test_an_axis_that_is_off_and_turned_by_hand_is_where_it_is(made, stale):
     made.wait(made.group.disable())
     entries = [drive.dictionary[index, 0] for index in (0x6062, 0x20F4)]
     live = [entry.read for entry in entries]
-    for entry in entries if stale else ():
-        entry.read = lambda value=entry.get(): value
+    for entry, value in [(entry, entry.get()) for entry in entries] if stale else ():
+        entry.read = partial(int, value)
     for _ in range(150):  # a turn of the motor in three seconds
-        drive._motor.position += 2000 / 150
-        drive._motor.measured = round(drive._motor.position)
-        drive._dirty = True
+        assert drive.push(2000 / 150)
         (state,) = states(made, whereabouts, 0.02)
         assert off_qc(made, state) <= 2000 / 3 * 0.55  # half a second of it
     states(made, whereabouts, 1.2)
