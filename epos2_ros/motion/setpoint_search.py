@@ -42,6 +42,7 @@ _ARRIVES_MS = 16.0  # so far apart,
 _RATES = 8  # decelerations,
 _TURNS = 3  # and the next places where the commanded curve turns or rests
 _INSTANTS = 12  # at which an error is looked at
+_EACH_QC = 2.0  # each set-point costs like this distance for as long as feeding takes
 _MISS_MS = 20.0  # a velocity that is off costs like a distance of what it does in this time
 
 
@@ -291,7 +292,8 @@ def _offer(
     most = keys[index] / mean - so_far - left
     if most <= 0.0:
         return -1
-    cost = _following(positions, begin, p, sign, of, most)
+    each = aims.feeding * _fourth(_EACH_QC)
+    cost = each + _following(positions, begin, p, sign, of, most - each)
     if cost >= most:
         return -1
     keys[index] = (so_far + cost + left) * mean
@@ -463,7 +465,7 @@ def _go_on(ahead: _Ahead, node: int, now: int, end: int, turns: Vector, count: i
 def find(positions: Vector, end: int, given: Vector, state: Vector, plan: Vector) -> int:
     """Put what is to come into `plan` and the state at the end of its first set-point into `state`.
 
-    NEXT: there is one. WAITS: it is best to stand for two more SYNC periods at least. ENDED: there
+    NEXT: there is one. WAITS: it is best to stand for longer than it takes to ask again. ENDED: there
     is none any more, the drive stands where the curve ends. `positions` begin at the state's time,
     and `end` counts from there; the curve rests from then on. `plan` is that of the last call.
     """
@@ -516,7 +518,7 @@ def find(positions: Vector, end: int, given: Vector, state: Vector, plan: Vector
         best = int(nodes[best * NODE + _BEFORE])
     if chosen < 0:
         return ENDED if ended else WAITS
-    if plan[1] - now > max(0.0, state[3] - now) + 2 * aims.sync:
+    if plan[1] - now > aims.feeding + 2 * aims.sync:  # there is time to ask again
         plan[0] = 0.0
         return WAITS
     for i in range(STATE):
