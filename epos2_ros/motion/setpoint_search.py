@@ -42,6 +42,7 @@ _ARRIVES_MS = 16.0  # so far apart,
 _RATES = 8  # decelerations,
 _TURNS = 3  # and the next places where the commanded curve turns or rests
 _INSTANTS = 12  # at which an error is looked at
+_EDGE_MS = 0.01  # so near to a whole millisecond rounding decides when the next begins
 _EACH_QC = 2.0  # each set-point costs like this distance for as long as feeding takes
 _MISS_MS = 20.0  # a velocity that is off costs like a distance of what it does in this time
 
@@ -214,9 +215,11 @@ def _allowed(
         return none
     fast, rate = velocity * aims.velocity_unit, down * aims.rate_unit
     of = shape(abs(target - p), speed, fast, up * aims.rate_unit, rate, passes)
-    if passes and of.duration > 2 * aims.longest:
+    if of.duration < 0.0 or passes and of.duration > 2 * aims.longest:
         return none
-    if passes and of.duration >= 0.0 and _brakes_alone(of, rate) < aims.feeding:
+    if abs(of.duration - floor(of.duration + 0.5)) < _EDGE_MS:
+        return none
+    if passes and _brakes_alone(of, rate) < aims.feeding:
         return none
     if passes and of.way - (of.speed + of.top) / 2 * of.ramp < CLEAR_QC:
         return none
@@ -446,10 +449,9 @@ def _go_on(ahead: _Ahead, node: int, now: int, end: int, turns: Vector, count: i
     else:
         speed, steepest = abs(v) * aims.velocity_unit, aims.steepest * aims.rate_unit
         way = speed * speed / (2 * steepest)
-        target = floor(p + way) + 1.0 if v > 0.0 else ceil(p - way) - 1.0
-        _offer(
-            ahead, node, t, target, abs(v), aims.steepest, aims.steepest, 0.0, _OWN
-        )  # whatever comes, it can come to rest
+        for further in (1.0, 2.0, 3.0):  # whatever comes, it can come to rest
+            target = floor(p + way) + further if v > 0.0 else ceil(p - way) - further
+            _offer(ahead, node, t, target, abs(v), aims.steepest, aims.steepest, 0.0, _OWN)
     _pass(ahead, node, t)
     tried = 0
     for i in range(count):
@@ -465,9 +467,9 @@ def _go_on(ahead: _Ahead, node: int, now: int, end: int, turns: Vector, count: i
 def find(positions: Vector, end: int, given: Vector, state: Vector, plan: Vector) -> int:
     """Put what is to come into `plan` and the state at the end of its first set-point into `state`.
 
-    NEXT: there is one. WAITS: it is best to stand for longer than it takes to ask again. ENDED: there
-    is none any more, the drive stands where the curve ends. `positions` begin at the state's time,
-    and `end` counts from there; the curve rests from then on. `plan` is that of the last call.
+    NEXT: there is one. WAITS: it is best to stand for longer than it takes to ask again. ENDED:
+    there is none any more, the drive stands where the curve ends. `positions` begin at the state's
+    time, and `end` counts from there; the curve rests from then on. `plan` is the last call's.
     """
     aims = Aims(given[0], given[1], given[2], given[3], given[4], given[5], given[6])
     now = int(state[0])
