@@ -18,6 +18,7 @@ import itertools
 import logging
 import math
 import random
+import re
 import sys
 import time
 from bisect import bisect_left
@@ -41,6 +42,7 @@ from epos2_ros.bus.timestamps import ReceiveClock
 from epos2_ros.configuration.driver import AxisConfig, DriverConfig, HomingConfig
 from epos2_ros.errors import BusError, Epos2RosError
 from epos2_ros.motion.trajectory import Trajectory
+from epos2_ros.protocol.cia402 import State
 from epos2_ros.protocol.family import Family
 from epos2_ros.protocol.frame import Frame
 from epos2_ros.protocol.other_host import OtherHost
@@ -68,6 +70,17 @@ START = 0x1F  # of a controlword: operation enabled, and bit 4, with which each 
 REST_QC = 6.0  # within HISTORY samples: it stands
 HISTORY = 6
 ENABLED_S = 1.6  # after "enable" axes are ready to move
+JOINT = re.compile(r"joint_(\d)")
+BLAMED = {  # what may be said of an axis, and what has to have happened to it
+    "is silent": ("silent", "power", "other host"),
+    "has restarted": ("power", "other host"),
+    "clock is off": ("clock", "other host"),
+    "come late": ("late SDO", "no SDO", "silent", "other host"),
+    "NMT operational": ("power", "other host"),
+    "was not read": ("late SDO", "no SDO", "silent", "power"),
+    "was lost, repeated": ("clock",),
+    "no answer to SYNC": ("late SDO", "no SDO", "silent", "power", "other host"),
+}
 KNOWN = (Phase.DISABLED, Phase.STANDING, Phase.FAULT)
 
 
@@ -471,6 +484,9 @@ class Stage(Bench):
             self.bring_up_drive(index)
         if lost:
             self.start_clock()
+        for drive, node in zip(self.machine.drives, self.nodes, strict=True):
+            if drive.state is State.FAULT:
+                node.clear_faults()
         return self.group.reset_fault()
 
     # ------------------------------------------------------------------ troubles
@@ -998,6 +1014,27 @@ def _harmless(scenario: Scenario, trouble: Trouble) -> bool:
     return trouble.name in ("wall", "foreign")
 
 
+def _blames(stage: Stage) -> None:
+    """What is said of an axis has happened to it; of troubles that don't touch single frames."""
+    troubles = stage.scenario.troubles
+    if any(" to " in t.name or t.name in ("abort", "length") for t in troubles):
+        return
+    for text in (event.text for event in stage.events if event.kind == "fault"):
+        for part in text.split("; "):
+            for words, causes in BLAMED.items():
+                found = JOINT.search(part)
+                if words not in part or found is None:
+                    continue
+                axis = int(found[1]) - 1
+                if not any(_reaches(stage.scenario, t, axis) for t in troubles if t.name in causes):
+                    raise Broken("what is said is what has happened", text)
+
+
+def _reaches(scenario: Scenario, trouble: Trouble, axis: int) -> bool:
+    master = scenario.source == f"joint_{trouble.axis + 1}"
+    return trouble.axis == axis or trouble.name == "other host" or master
+
+
 def _as_fired(stage: Stage) -> None:
     """What is reported of outputs is what they have fired, when the axes have come to rest."""
     if stage.outputs is not None:
@@ -1125,6 +1162,7 @@ def play(scenario: Scenario) -> Stage:
                 _settle(stage)
             if stage.outputs is not None and (wrong := stage.outputs.astray()):
                 raise Broken("outputs fire where they are to", wrong)
+            _blames(stage)
             if all(_harmless(scenario, trouble) for trouble in scenario.troubles):
                 _no_fault(stage)
             stage.heal()

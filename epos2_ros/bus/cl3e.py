@@ -91,6 +91,9 @@ class Cl3eNode:
         """DriveError: no CL3-E can send SYNC (it has no 0x1006)."""
         raise DriveError(f"{self._access} can't send SYNC: set sync.producer to host")
 
+    def clear_faults(self) -> None:
+        """A fault reset needs nothing before."""
+
     def leave(self) -> None:
         """The host goes: a drive that is off need not watch it any more."""
         self._access.leave()

@@ -74,11 +74,25 @@ class CopleyNode:
 
     def configure(self) -> int:
         """Check identity, configure, go operational; the statusword the drive then has."""
-        return self._access.configure(self._write_objects, clear_faults=self._clear_faults)
+        return self._access.configure(self._write_objects, clear_faults=self.clear_faults)
 
     def produce_sync(self, period_us: int) -> None:
         """DriveError: sync.producer is to be the host or an EPOS2."""
         raise DriveError(f"{self._access} is not asked to send SYNC: set sync.producer to host")
+
+    def clear_faults(self) -> None:
+        """Latched faults stay until ones are written, and no fault reset helps before."""
+        objects = self._access.objects
+        faults = objects.read(copley.LATCHED_FAULTS)
+        if not faults:
+            return
+        attempt = f"clear its latched faults, {objects.name(copley.LATCHED_FAULTS)}"
+        objects.write(copley.LATCHED_FAULTS, faults, 0, attempt)
+        if left := objects.read(copley.LATCHED_FAULTS) & faults:
+            raise DriveError(
+                f"{self._access} keeps latched faults: {copley.describe_faults(left)}; put right "
+                "what they say, then switch it off and on again"
+            )
 
     def leave(self) -> None:
         """The host goes: a drive that is off need not watch it any more."""
@@ -141,18 +155,4 @@ class CopleyNode:
             raise DriveError(
                 f"{self._access} does not count in counts of its encoder: {', '.join(told)}; set "
                 "them all to 1/1 with Copley's CME and store them"
-            )
-
-    def _clear_faults(self) -> None:
-        """Latched faults stay until ones are written, and no fault reset helps before."""
-        objects = self._access.objects
-        faults = objects.read(copley.LATCHED_FAULTS)
-        if not faults:
-            return
-        attempt = f"clear its latched faults, {objects.name(copley.LATCHED_FAULTS)}"
-        objects.write(copley.LATCHED_FAULTS, faults, 0, attempt)
-        if left := objects.read(copley.LATCHED_FAULTS) & faults:
-            raise DriveError(
-                f"{self._access} keeps latched faults: {copley.describe_faults(left)}; put right "
-                "what they say, then switch it off and on again"
             )

@@ -57,6 +57,7 @@ from epos2_ros.motion import knots
 from epos2_ros.motion.move import refuse_trajectory
 from epos2_ros.motion.reference import Reference
 from epos2_ros.motion.trajectory import Trajectory
+from epos2_ros.protocol.cia402 import State
 from epos2_ros.protocol.clock import time_of_day
 from epos2_ros.protocol.drive import Drive
 from epos2_ros.protocol.execution import Execution
@@ -500,6 +501,11 @@ class Driver:
             lost = self._machine.drives
         if lost:
             self._bring_up(lost)
+        faulty = self._reactor.call(
+            lambda: [drive for drive in self._machine.drives if drive.state is State.FAULT]
+        )
+        for drive in faulty:
+            self._worker.run(self._nodes[drive].clear_faults)
         self._wait_for("reset fault", self._group.reset_fault)
 
     def snapshot(self) -> Snapshot:

@@ -79,6 +79,9 @@ class Epos2Node:
         self._objects.write(epos2.COMMUNICATION_CYCLE_PERIOD, period_us)
         self._objects.write(epos2.COB_ID_SYNC, generates | epos2.SYNC)
 
+    def clear_faults(self) -> None:
+        """A fault reset needs nothing before."""
+
     def leave(self) -> None:
         """The host goes: a drive that is off need not watch it any more."""
         self._access.leave()

@@ -29,6 +29,9 @@ class DriveNode(Protocol):
     def produce_sync(self, period_us: int) -> None:
         """The drive sends SYNC from now on; 0: no longer."""
 
+    def clear_faults(self) -> None:
+        """What a fault reset by controlword needs before."""
+
     def leave(self) -> None:
         """The host goes: a drive that is off need not watch it any more."""
 

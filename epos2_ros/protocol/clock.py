@@ -25,8 +25,9 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from statistics import median
+from types import MappingProxyType
 
 import numpy as np
 
@@ -130,11 +131,17 @@ class MasterClock:
         passed_us = self._common_at(t_us - self._zero_us) - float(self._at_us[drive])
         return wrapped(latched - shown) - passed_us * (1 + float(self._faster[drive]))
 
-    def on_sync(self, t_us: float, latched: Sequence[int | None]) -> bool:
+    def on_sync(
+        self,
+        t_us: float,
+        latched: Sequence[int | None],
+        jumped_us: Mapping[int, float] = MappingProxyType({}),
+    ) -> bool:
         """A SYNC was on the bus at host time `t_us`; False: what the drives say is in doubt.
 
         `latched` are the drives' clocks at that SYNC, before they are corrected; None: not told. In
-        doubt it counts for nothing, and all drives should tell of the next.
+        doubt it counts for nothing, and all drives should tell of the next. `jumped_us`: by how
+        much the clocks of some have jumped, which the common clock is not to follow.
         """
         host_us, now_us = t_us - self._zero_us, self.master_us(t_us)
         told = {
@@ -146,7 +153,9 @@ class MasterClock:
         if told and self._doubtful(list(told.values()), common_us, host_us):
             return False
         if told:
-            self._compare(latched, list(told), common_us)
+            told = {n: t_us - jumped_us.get(n, 0.0) for n, t_us in told.items()}
+            common_us = median(told.values())
+            self._compare(latched, [n for n in told if n not in jumped_us], common_us)
             self._seen.append((host_us, common_us))
             self._fit()
         if self._line is None or not told:

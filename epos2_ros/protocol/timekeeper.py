@@ -417,8 +417,10 @@ class Timekeeper:
             self._missed = [0] * len(self.drives)
             self._stray = [""] * len(self.drives)
         elif self.drives:  # else there is no clock to keep
-            sure = clock.on_sync(self._unstamped_us, self._latched)
             self._compare()
+            off_us = self._off_us if clock.settled else ()
+            jumped_us = {drive: off for drive, off in enumerate(off_us) if abs(off) > ASTRAY_US}
+            sure = clock.on_sync(self._unstamped_us, self._latched, jumped_us)
         return sure
 
     def _put_right(self, told: Sequence[int], sure: bool, now_us: float) -> None:

@@ -194,6 +194,21 @@ def test_the_jump_of_an_only_clock_is_not_taken_for_a_late_host(count, jump_us):
     assert told_us - jumped_us < 101e3
 
 
+@pytest.mark.parametrize("count", [1, 2, 3])
+@pytest.mark.parametrize("jump_us", [2e3, -9e3, 26e3, -40e3])
+def test_a_clock_that_jumps_while_the_axes_stand_is_put_right(count, jump_us):
+    """With its next time stamp, and the others' clocks are left alone."""
+    made = few(count)
+    made.run(1.03)
+    made.drives[0].clock._offset_us += jump_us
+    made.run(0.3)
+    moving(0.0, made)
+    made.wait(made.motion)
+    made.bus.run_until(made.now_us + 1e5, lambda *frame: None)
+    at = [drive.clock.value(made.now_us) for drive in made.drives]
+    assert max(at) - min(at) < 100
+
+
 @pytest.mark.parametrize("count", [1, 2])
 @pytest.mark.parametrize("producer", ["host", "joint_1"])
 def test_a_host_that_is_late_again_and_again_blames_no_only_clock(count, producer):

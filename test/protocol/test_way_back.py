@@ -21,6 +21,7 @@ from campaign import (
     Meddling,
     Scenario,
     Stage,
+    Trouble,
     _expect,
     _home,
     _move,
@@ -264,6 +265,25 @@ def comes_back(stage: Stage, way: Callable[[Stage], Stage], again: bool = True) 
             raise
         assert stage.group.reason.strip() and "\n" not in stage.group.reason
         comes_back(stage, reset, again=False)
+
+
+@pytest.mark.parametrize("family", ["epos2", "copley", "cl3e"])
+def test_the_first_reset_does_where_nothing_but_a_fault_is_in_the_way(family: str) -> None:
+    """One that a Copley drive latches stays until it is told that it may go (0x2183)."""
+    emergency = Trouble("emergency", 0, 0.0, 0)
+    for action in (Action("enable", 0.0), MOVE):
+        stage = Stage(Scenario((Axis(family, 0.0, ""),), (action,), (emergency,)))
+        with _simulated_clock(stage):
+            stage.bus.run_until(400e3, lambda *frame: None)
+            stage.bring_up()
+            _expect(stage, "enable", stage.group.enable())
+            if action is MOVE:
+                moves_to(stage)
+            stage.trouble(emergency)(stage.now_us)
+            stage.run(1.5)
+            assert stage.group.phase is Phase.FAULT
+            _expect(stage, "reset_fault", stage.reset_fault())
+            _expect(stage, "enable", stage.group.enable())
 
 
 def test_an_unheard_power_cycle_takes_the_reference() -> None:
