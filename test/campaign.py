@@ -603,6 +603,7 @@ class Stage(Bench):
         self.director._agenda.clear()
         self.director.outbox.clear()
         self.watch.go_on()
+        self._refuses_until_us = -math.inf
         for drive in self.drives:
             drive.reconnect()
             if not drive.powered:
@@ -1014,10 +1015,15 @@ def _harmless(scenario: Scenario, trouble: Trouble) -> bool:
     return trouble.name in ("wall", "foreign")
 
 
+def _meddles(scenario: Scenario) -> bool:
+    """Whether single frames are lost, late or others than they were: who has, nobody can know."""
+    return any(" to " in t.name or t.name in ("abort", "length") for t in scenario.troubles)
+
+
 def _blames(stage: Stage) -> None:
     """What is said of an axis has happened to it; of troubles that don't touch single frames."""
     troubles = stage.scenario.troubles
-    if any(" to " in t.name or t.name in ("abort", "length") for t in troubles):
+    if _meddles(stage.scenario):
         return
     for text in (event.text for event in stage.events if event.kind == "fault"):
         for part in text.split("; "):
@@ -1083,6 +1089,8 @@ def _way_back(stage: Stage, brought_up: bool) -> None:
     except (Broken, Epos2RosError) as error:
         if isinstance(error, Broken) and error.promise != "the way back":
             raise
+        if not _meddles(stage.scenario):
+            raise Broken("the way back", f"{error}") from error
         stage.took_twice = f"{error}"
         stage.run(0.5)
         _again(stage)

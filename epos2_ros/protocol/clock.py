@@ -153,7 +153,7 @@ class MasterClock:
         if told and self._doubtful(list(told.values()), common_us, host_us):
             return False
         if told:
-            told = {n: t_us - jumped_us.get(n, 0.0) for n, t_us in told.items()}
+            told = {n: at_us - jumped_us.get(n, 0.0) for n, at_us in told.items()}
             common_us = median(told.values())
             self._compare(latched, [n for n in told if n not in jumped_us], common_us)
             self._seen.append((host_us, common_us))
