@@ -758,9 +758,9 @@ class Watch:
             (self._armed.add if starts else self._armed.discard)(can_id & 0x7F)
 
     def handed_over(self, frame: Frame) -> None:
-        """A frame of the host."""
-        if frame.can_id & 0x780 == 0x200:
-            place = (frame.can_id & 0x7F) - 1
+        """A frame of the host. What set-points lead to is looked at elsewhere (test_set_points)."""
+        place = (frame.can_id & 0x7F) - 1
+        if frame.can_id & 0x780 == 0x200 and not isinstance(self._stage.drives[place], Cl3e):
             commanded = self.commanded[place]
             if commanded is None:
                 drive = self._stage.drives[place]
@@ -786,7 +786,7 @@ class Watch:
             self._bad_us[place] = min(self._bad_us[place], t_us) if bad else math.inf
             if moving[place]:
                 self._commands(place, t_us)
-        if phase in BEGUN and stage.machine.interpolated in stage.group.modes:
+        if phase in BEGUN and stage.group.modes == stage.machine.followers.modes:
             self._on_path(t_us)
         self._one_for_all(moving, t_us)
 
@@ -865,7 +865,7 @@ def _move(
     stage: Stage, action: Action, stamp_s: float | None = None, reach: float | None = None
 ) -> Future[Any] | None:
     """As a user would: from where the axes say that they stand, or on from where they move."""
-    drives = stage.machine.interpolated.drives
+    drives = stage.machine.followers.drives
     if not drives:
         return _move_to(stage, action)
     here = [(drive.standing_qc or 0) / QC_PER_RAD for drive in drives]
@@ -881,7 +881,7 @@ def _move(
 
 
 def _stream(stage: Stage, action: Action) -> Future[Any] | None:
-    drives = stage.machine.interpolated.drives
+    drives = stage.machine.followers.drives
     if not drives:
         return _move_to(stage, action)
     here = [(drive.standing_qc or 0) / QC_PER_RAD for drive in drives]
@@ -1117,11 +1117,11 @@ def _again(stage: Stage) -> None:
         if stage.outputs is not None:
             stage.run(stage_outputs.REPORTED_S + 4 * stage.config.sync_period)
             stage.outputs.begin()
-        if stage.machine.interpolated.drives:
-            places = [stage.machine.drives.index(d) for d in stage.machine.interpolated.drives]
+        if stage.machine.followers.drives:
+            places = [stage.machine.drives.index(d) for d in stage.machine.followers.drives]
             ends = [round(stage.machine.drives[p].standing_qc + 0.05 * QC_PER_RAD) for p in places]
             _expect(stage, "move", _move(stage, Action("move", 0, 0.05, 0.6)))
-            at = [stage.drives[p]._demand for p in places]
+            at = [stage.drives[p].position_demand for p in places]
             if any(abs(a - b) > 1.1 for a, b in zip(at, ends, strict=True)):
                 raise Broken("the way back", f"the axes arrived at {at}, not at {ends} qc")
         else:

@@ -7,10 +7,12 @@ import math
 from epos2_ros.bus.epos2 import Epos2Settings
 from epos2_ros.configuration.driver import AxisConfig, DriverConfig
 from epos2_ros.motion.fit import FitAxis
+from epos2_ros.motion.setpoints import SetPointAxis
 from epos2_ros.motion.units import PROFILE_ACCELERATION_RPM_S, AxisUnits, drive_limits
 from epos2_ros.protocol.families import FAMILIES
 from epos2_ros.protocol.machine import Machine
 from epos2_ros.protocol.pvt.feeder import STREAM_SEGMENT_MS
+from epos2_ros.protocol.setpoints.axis import FEEDING_MS, STANDING_MS
 
 VELOCITY_HEADROOM = 1.05
 ACCELERATION_HEADROOM = 1.25
@@ -87,9 +89,28 @@ def fit_axis(axis: AxisConfig, config: DriverConfig) -> FitAxis:
     )
 
 
+def set_point_axis(axis: AxisConfig) -> SetPointAxis:
+    """What the search for set-points has to keep, in the units that the drive is likely to have.
+
+    READING: without limits of its own an axis has those that its drive can hold.
+    """
+    units = AxisUnits.of(axis)
+    velocity, acceleration = axis.max_velocity, axis.max_acceleration
+    if velocity is None:
+        velocity = units.velocity_unasked
+    fastest = VELOCITY_HEADROOM * abs(units.to_qc_s(velocity))
+    steepest = PROFILE_ACCELERATION_RPM_S / 60 * axis.counts_per_turn
+    if acceleration is not None:
+        steepest = ACCELERATION_HEADROOM * abs(units.to_qc_s(acceleration))
+    velocity_unit, acceleration_unit, _ = FAMILIES[axis.drive].motion_units(units)
+    return SetPointAxis(
+        velocity_unit, acceleration_unit, fastest, steepest, FEEDING_MS, STANDING_MS
+    )
+
+
 def machine_of(config: DriverConfig) -> Machine:
     """The protocol of all axes."""
-    return Machine(config, lambda axis: fit_axis(axis, config))
+    return Machine(config, lambda axis: fit_axis(axis, config), set_point_axis)
 
 
 def clock_master(config: DriverConfig) -> int | None:

@@ -73,14 +73,15 @@ def tracked(
 ) -> Tracking:
     """What they are doing now; `configs` are those of these axes, `whereabouts` of all."""
     units = [AxisUnits.of(axis) for axis in configs]
-    path, feeder, drives = machine.path, machine.interpolated.feeder, machine.interpolated.drives
+    path, followers = machine.path, machine.followers
+    drives = followers.drives
     axes = list(zip(units, drives, strict=True))
-    reference, zero_us, known_us = feeder.reference, machine.path_time.zero_us(now_us), -math.inf
+    reference, zero_us, known_us = followers.reference, machine.path_time.zero_us(now_us), -math.inf
     if path.execution is None or reference is None:
         here = [unit.from_qc(float(axis.demand_qc or 0)) for unit, axis in axes]
         reference = Reference.at_rest(units, here)
     else:
-        known_us = zero_us + 1000 * feeder.known_from_ms
+        known_us = zero_us + 1000 * followers.known_from_ms
     heard = {machine.drives[axis.place]: axis for axis in whereabouts.at(now_us)}
     places = [_place(drive, heard.get(drive), now_us) for drive in drives]
     return Tracking(

@@ -46,7 +46,7 @@ class AxisConfig:
     max_jerk: float | None = None  # of moves in profile position mode
     stop_deceleration: float | None = None
     max_following_error: int = 2000  # [qc], 0x6065
-    trajectory: str = ""  # how it follows one: "pvt" or "profile"; "": the family's best
+    trajectory: str = ""  # how it follows one: "pvt", "setpoints", "profile"; "": its family's best
     homing: HomingConfig | None = None
     path_tolerance: float = 0.0  # of an action goal [rad or m]; 0: not checked
     goal_tolerance: float = 0.0

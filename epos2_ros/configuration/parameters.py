@@ -246,9 +246,9 @@ AXIS: dict[str, Spec] = {
     "max_following_error": Spec(2000, "[qc], object 0x6065", 1, 2**32 - 1),
     "trajectory": Spec(
         "",
-        "how the axis follows a trajectory: by PVT records (EPOS2, Copley), or profile: it moves "
-        "by ~/move_to only; '': the family's best",
-        choices=("", "pvt", "profile"),
+        "how the axis follows a trajectory: by PVT records (EPOS2, Copley), by setpoints "
+        "(CL3-E), or profile: it moves by ~/move_to only; '': the family's best",
+        choices=("", "pvt", "setpoints", "profile"),
     ),
     "homing.method": Spec(
         "",

@@ -73,8 +73,12 @@ class Reference:
 
     def positions(self, k: NDArray[np.int64]) -> Array:
         """Commanded positions at milliseconds k [m] → [m, axes] [qc], drive frame."""
+        return self.positions_at(k.astype(np.float64))
+
+    def positions_at(self, t_ms: Array) -> Array:
+        """Likewise at any times t_ms [m]."""
         offset = np.array([u.offset for u in self.units])
-        return (self.evaluate(k / 1000) - offset) * self._scale
+        return (self.evaluate(t_ms / 1000) - offset) * self._scale
 
     def velocities(self, k: NDArray[np.int64]) -> Array:
         """Commanded velocities at milliseconds k [m] → [m, axes] [qc/s], drive frame."""
@@ -121,3 +125,19 @@ class Reference:
     @property
     def _scale(self) -> Array:
         return np.array([u.qc_per_unit for u in self.units])
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """Some of a reference's axes, by their places in it."""
+
+    reference: Reference
+    places: tuple[int, ...]
+
+    @property
+    def end_ms(self) -> int:
+        return self.reference.end_ms
+
+    def positions(self, k: NDArray[np.int64]) -> Array:
+        """Commanded positions at milliseconds k [m] → [m, places] [qc], drive frame."""
+        return self.reference.positions(k)[:, self.places]

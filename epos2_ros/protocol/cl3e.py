@@ -148,5 +148,6 @@ FAMILY = Family(
     homing_methods=homing_methods.STANDARD,
     pvt=None,
     has_clock=False,
+    passes_set_points=True,
     life_guarding=True,
 )

@@ -14,15 +14,29 @@ FAMILIES: Mapping[str, Family] = {
 }
 
 
-def follows_records(axis: AxisConfig) -> bool:
-    """Whether it follows a trajectory, by records; ConfigurationError if it was told to and can't.
+PVT, SET_POINTS, PROFILE = "pvt", "setpoints", "profile"  # `axes.<joint>.trajectory`
 
-    Other axes move in their drives' profile position mode only.
+
+def follows_by(axis: AxisConfig) -> str:
+    """How it follows a trajectory, PVT or SET_POINTS; PROFILE: it moves from point to point only.
+
+    ConfigurationError if it was told to follow in a way that its family can't.
     """
-    family = FAMILIES[axis.drive]
-    if axis.trajectory == "pvt" and family.pvt is None:
+    family, told = FAMILIES[axis.drive], axis.trajectory
+    if told == PVT and family.pvt is None:
         raise ConfigurationError(
             f"axes.{axis.joint}.trajectory is 'pvt'; {family.maker}'s drives have no buffer for "
-            "PVT records: leave it out, or set it to profile"
+            "PVT records: leave it out, or set it to setpoints or profile"
         )
-    return family.pvt is not None and axis.trajectory != "profile"
+    if told == SET_POINTS and not family.passes_set_points:
+        raise ConfigurationError(
+            f"axes.{axis.joint}.trajectory is 'setpoints'; {family.maker}'s drives can't pass a "
+            "set-point without braking: leave it out, or set it to pvt or profile"
+        )
+    best = PVT if family.pvt is not None else SET_POINTS if family.passes_set_points else PROFILE
+    return told or best
+
+
+def follows_records(axis: AxisConfig) -> bool:
+    """Whether it follows trajectories by records."""
+    return follows_by(axis) == PVT

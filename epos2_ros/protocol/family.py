@@ -63,6 +63,7 @@ class Family:
     homing_methods: Mapping[int, Method]  # 0x6098
     pvt: PvtBuffer | None  # None: they follow no records
     has_clock: bool  # high resolution time stamp (0x1013): it can be kept in step with the others
+    passes_set_points: bool = False  # "change on set-point" (bit 9): it needs not brake for each
     backs_off: bool = False  # after homing, by `homing.back_off`
     jerk_objects: tuple[tuple[int, int], ...] = ()  # that limit the jerk of a profile; none: ()
     life_guarding: bool = False  # it watches the host by 0x100C and 0x100D: it has no 0x1016

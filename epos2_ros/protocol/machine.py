@@ -15,10 +15,12 @@ from epos2_ros.configuration.driver import AxisConfig, DriverConfig
 from epos2_ros.errors import ConfigurationError, TrajectoryError
 from epos2_ros.motion.fit import FitAxis
 from epos2_ros.motion.move import moves
+from epos2_ros.motion.setpoints import SetPointAxis
 from epos2_ros.motion.units import AxisUnits
 from epos2_ros.protocol import epos2
 from epos2_ros.protocol.drive import Drive, DriveSetup
-from epos2_ros.protocol.families import FAMILIES, follows_records
+from epos2_ros.protocol.families import FAMILIES, PROFILE, PVT, follows_by
+from epos2_ros.protocol.followers import Followers
 from epos2_ros.protocol.frame import Frame
 from epos2_ros.protocol.group import Group
 from epos2_ros.protocol.homing_methods import find
@@ -26,6 +28,7 @@ from epos2_ros.protocol.modes.homing import Homing, Search
 from epos2_ros.protocol.modes.interpolated import Interpolated
 from epos2_ros.protocol.modes.mode import Mode
 from epos2_ros.protocol.modes.profile import Profile
+from epos2_ros.protocol.modes.setpoints import SetPoints
 from epos2_ros.protocol.outbox import Outbox
 from epos2_ros.protocol.path import PathCommander, refuse_unreferenced
 from epos2_ros.protocol.path_time import PathTime
@@ -33,13 +36,21 @@ from epos2_ros.protocol.phase import End
 from epos2_ros.protocol.pvt.axis import PvtAxis
 from epos2_ros.protocol.pvt.buffer_reads import BufferReads
 from epos2_ros.protocol.pvt.feeder import Feeder
+from epos2_ros.protocol.pvt.path_audit import patience_syncs
+from epos2_ros.protocol.setpoints.axis import QueuedAxis
 from epos2_ros.protocol.timekeeper import Timekeeper
 
 
 class Machine:
-    """`fit_of(axis)`: what the search for records keeps of a drive's limits."""
+    """`fit_of(axis)`, `set_points_of(axis)`: what the search for records, or for set-points, keeps
+    of a drive's limits."""
 
-    def __init__(self, config: DriverConfig, fit_of: Callable[[AxisConfig], FitAxis]) -> None:
+    def __init__(
+        self,
+        config: DriverConfig,
+        fit_of: Callable[[AxisConfig], FitAxis],
+        set_points_of: Callable[[AxisConfig], SetPointAxis],
+    ) -> None:
         self.config = config
         self.out = Outbox()
         self.drives = [Drive(_setup(axis, config)) for axis in config.axes]
@@ -55,12 +66,26 @@ class Machine:
             [drive for drive in self.drives if drive.family.life_guarding],
         )
         self.path_time = PathTime(self.time.clock, config.sync_source == "host")
-        followers = [axis for axis in config.axes if follows_records(axis)]
+        ways = {axis.joint: follows_by(axis) for axis in config.axes}
+        following = tuple(axis for axis in config.axes if ways[axis.joint] != PROFILE)
+        self.movers = tuple(axis for axis in config.axes if axis not in following)
         period_us = config.sync_period * 1e6
-        self.interpolated = self._interpolated(
-            [PvtAxis(by_joint[a.joint], fit_of(a), config.tolerance, period_us) for a in followers]
+        records, queued, columns = [], [], []
+        for column, axis in enumerate(following):
+            drive = by_joint[axis.joint]
+            if ways[axis.joint] == PVT:
+                records.append(PvtAxis(drive, fit_of(axis), config.tolerance, period_us))
+                columns.append(column)
+            else:
+                patience = patience_syncs(period_us)
+                queued.append(QueuedAxis(drive, set_points_of(axis), column, patience))
+        self.interpolated = self._interpolated(records, columns)
+        self.set_points = SetPoints(
+            queued, self.path_time, lambda: self.time.seen_late_us, self.out
         )
-        self.movers = tuple(axis for axis in config.axes if axis not in followers)
+        self.followers = Followers(
+            (self.interpolated, self.set_points), [by_joint[axis.joint] for axis in following]
+        )
         self.profile = Profile(self.drives, self.out)
         self.homing = Homing(self.drives, self.out)
         self._homed = {
@@ -70,23 +95,23 @@ class Machine:
         }
         for drive, axis in self._homed.items():
             _search(axis, drive)  # what can't be is said before anything else
-        rest: dict[Drive, Mode] = {
-            drive: self.interpolated if drive in self.interpolated.drives else self.profile
-            for drive in self.drives
-        }
+        rest: dict[Drive, Mode] = dict.fromkeys(self.drives, self.profile)
+        for mode in self.followers.modes:
+            rest |= dict.fromkeys(mode.drives, mode)
         self.group = Group(rest, self.time, self.path_time, self.out)
         self.path = PathCommander(
             self.group,
-            self.interpolated,
-            replace(config, axes=tuple(followers)),
+            self.followers,
+            replace(config, axes=following),
             self.move_to,
         )
 
-    def _interpolated(self, axes: list[PvtAxis]) -> Interpolated:
+    def _interpolated(self, axes: list[PvtAxis], columns: Sequence[int]) -> Interpolated:
         config = self.config
         buffer_time_ms = config.buffer_time * 1e3
         stream_ahead_ms = config.stream_ahead * 1e3
-        feeder = Feeder(axes, buffer_time_ms, stream_ahead_ms, config.tolerance, config.smoothness)
+        tolerance, smoothness = config.tolerance, config.smoothness
+        feeder = Feeder(axes, columns, buffer_time_ms, stream_ahead_ms, tolerance, smoothness)
         reads = BufferReads(axes)
         return Interpolated(axes, feeder, reads, self.path_time, self.out)
 

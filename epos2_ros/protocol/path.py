@@ -35,8 +35,8 @@ from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.motion.units import AxisUnits
 from epos2_ros.protocol.drive import Drive
 from epos2_ros.protocol.execution import Execution
+from epos2_ros.protocol.followers import Followers
 from epos2_ros.protocol.group import Group
-from epos2_ros.protocol.modes.interpolated import Interpolated
 from epos2_ros.protocol.phase import IN_MOTION, NOT_BEGUN, End, Phase
 from epos2_ros.protocol.pvt.feeder import HOLD_MS
 
@@ -108,7 +108,7 @@ def refuse_unreferenced(
 
 
 class PathCommander:
-    """Trajectories in, references for the axes of `interpolated` out. Times are host µs.
+    """Trajectories in, references for the axes of `followers` out. Times are host µs.
 
     `config` is that of these axes; `approach(targets)` begins a move to joint positions [unit].
     """
@@ -116,13 +116,13 @@ class PathCommander:
     def __init__(
         self,
         group: Group,
-        interpolated: Interpolated,
+        followers: Followers,
         config: DriverConfig,
         approach: Callable[[Mapping[str, float]], object],
     ) -> None:
         self._approach = approach
         self._group = group
-        self._interpolated = interpolated
+        self._followers = followers
         self._config = config
         self.axes = config.axes
         self._units = tuple(AxisUnits.of(axis) for axis in config.axes)
@@ -160,23 +160,23 @@ class PathCommander:
         streamed = is_streamed(trajectory)
         late_us = HORIZON_S * 1e6 if streamed else 0.0  # what came late is still where to go
         refuse_ended(trajectory, stamp_us, now_us - late_us)
-        refuse_unreferenced(self._config.axes, self._interpolated.drives, trajectory.joint_names)
-        group, feeder = self._group, self._interpolated.feeder
+        refuse_unreferenced(self._config.axes, self._followers.drives, trajectory.joint_names)
+        group, followers = self._group, self._followers
         if group.standing and not self._streams_on(trajectory):
             return self._from_rest(trajectory, stamp_us, now_us)
-        if not self._in_motion or feeder.reference is None:
+        if not self._in_motion or followers.reference is None:
             raise TrajectoryError(f"can't move: the drives are {group.describe_phase()}")
-        if feeder.ending:
-            end_ms = feeder.reference.end_ms
+        if followers.ending:
+            end_ms = followers.reference.end_ms
             return self._placement(
-                Way.WAIT, trajectory, stamp_us, feeder.reference.trimmed(end_ms), end_ms, end_ms
+                Way.WAIT, trajectory, stamp_us, followers.reference.trimmed(end_ms), end_ms, end_ms
             )
         start_us = now_us if stamp_us is None else stamp_us
         return self._placement(
             Way.TAKE_OVER,
             trajectory,
             stamp_us,
-            feeder.reference,
+            followers.reference,
             self._take_over_ms(streamed, now_us, lead_ms),
             round((start_us - group.path_time.zero_us(now_us)) / 1000),
         )
@@ -186,13 +186,13 @@ class PathCommander:
     ) -> bool:
         """Follow `reference`, which `placement.join()` gave; False when it came too late."""
         execution = execution or Execution()
-        group, feeder = self._group, self._interpolated.feeder
+        group, followers = self._group, self._followers
         match placement.way:
             case Way.BEGIN:
                 if not group.standing or placement.standing_qc != self._standing_qc():
                     return False
-                self._interpolated.plan(reference)
-                group.begin([self._interpolated], placement.planned_start_us)
+                followers.plan(reference)
+                group.begin(followers.modes, placement.planned_start_us)
             case Way.APPROACH:
                 if not group.standing or placement.standing_qc != self._standing_qc():
                     return False
@@ -203,11 +203,11 @@ class PathCommander:
                 group.out.announce("waiting", "the axes first go to where the trajectory begins")
                 return True
             case Way.TAKE_OVER:
-                if feeder.reference is not placement.current or not self._in_motion:
+                if followers.reference is not placement.current or not self._in_motion:
                     return False
-                if feeder.ending or feeder.committed_ms > placement.at_ms:
+                if followers.ending or followers.committed_ms > placement.at_ms:
                     return False
-                feeder.replace(reference)
+                followers.replace(reference)
                 group.go_on(End.ARRIVED)
                 if not is_streamed(placement.trajectory):
                     at_s = placement.at_ms / 1000
@@ -235,14 +235,14 @@ class PathCommander:
         future ends when the axes are at rest.
         """
         self.drop_waiting(reason)
-        group, feeder = self._group, self._interpolated.feeder
+        group, followers = self._group, self._followers
         if not group.moving:
             return group.cancel(reason) if group.motion else None
         if not self._in_motion:
             return group.halt(reason)
-        if not feeder.ending and feeder.reference is not None:
-            path = stop(feeder.reference, feeder.committed_ms, self._limits)
-            feeder.replace(path)
+        if not followers.ending and followers.reference is not None:
+            path = stop(followers.reference, followers.committed_ms, self._limits)
+            followers.replace(path)
             group.go_on(End.STOPPED)
             if self.execution is not None:
                 self.execution.stop_for(reason)
@@ -321,7 +321,7 @@ class PathCommander:
 
     def _left(self, here: Sequence[float], now_us: float) -> Stream | None:
         """The stream that the axes have come to rest at the end of, a moment ago; None: none."""
-        reference = self._interpolated.feeder.reference
+        reference = self._followers.reference
         path_ms = self._group.path_time.at_ms(now_us)
         last = None if reference is None else reference.motions[-1]
         if not isinstance(last, Stream) or path_ms is None:
@@ -334,29 +334,30 @@ class PathCommander:
 
     def _take_over_ms(self, streamed: bool, now_us: float, lead_ms: int) -> int:
         """Path time at which what comes now takes over from the motion in progress."""
-        feeder = self._interpolated.feeder
-        earliest_ms = feeder.committed_ms + lead_ms
+        followers = self._followers
+        earliest_ms = followers.committed_ms + lead_ms
         if not streamed or not isinstance(self._governing(earliest_ms), Stream):
             return earliest_ms
         path_ms = self._group.path_time.at_ms(now_us) or 0.0
-        return max(earliest_ms, round(path_ms + feeder.stream_take_over_ms))
+        return max(earliest_ms, round(path_ms + followers.stream_take_over_ms))
 
     def _governing(self, at_ms: int) -> Motion:
-        reference = self._interpolated.feeder.reference
+        reference = self._followers.reference
         assert reference is not None
         return reference.governs(at_ms)
 
     @property
     def _in_motion(self) -> bool:
         """Whether it is a trajectory that the axes follow, or are about to."""
-        return self._group.phase in IN_MOTION and self._interpolated in self._group.modes
+        modes = self._followers.modes
+        return self._group.phase in IN_MOTION and bool(modes) and self._group.modes == modes
 
     def _standing_qc(self) -> tuple[int | None, ...]:
-        return tuple(drive.demand_qc for drive in self._interpolated.drives)
+        return tuple(drive.demand_qc for drive in self._followers.drives)
 
     def _streams_on(self, trajectory: Trajectory) -> bool:
         """Whether it is the next point of a stream whose first has not begun to move."""
-        reference = self._interpolated.feeder.reference
+        reference = self._followers.reference
         return (
             self._group.phase in NOT_BEGUN
             and self._in_motion

@@ -1,8 +1,8 @@
 """Where all axes are at one instant, between and after what their drives say.
 
 An axis that follows a path is where its demand is, less the following error. The demand is known
-exactly: the records that were sent, or the profile that a drive makes of a set-point. The following
-error is known from every SYNC, where a drive reports it, and goes by the model of a position
+exactly: the records that were sent, or what a drive makes of its set-points. The following error is
+known from every SYNC, where a drive reports it, and goes by the model of a position
 controller: a delay times the velocity that long ago, and a rest. What the delay is, the reports
 tell; the rest is what the last of them leaves unexplained. A position that is reported in between
 corrects it only where it contradicts it, for nobody knows to a millisecond when it was measured.
@@ -23,7 +23,6 @@ from typing import NamedTuple
 from epos2_ros.protocol.drive import LARGEST_ERROR_QC, Drive
 from epos2_ros.protocol.machine import Machine
 from epos2_ros.protocol.phase import BEGUN, NOT_BEGUN, Phase
-from epos2_ros.protocol.pvt.axis import PvtAxis
 
 HEARD_US = 500_000.0  # a drive that was not heard for so long may be anywhere
 EVENT_AGE_US = 600.0  # of a position that comes as an event: half a cycle, and its way on the bus
@@ -51,8 +50,7 @@ class Whereabouts:
 
     def __init__(self, machine: Machine) -> None:
         self._machine = machine
-        records = {axis.drive: axis for axis in machine.interpolated.axes}
-        self._axes = [_Axis(drive, records.get(drive)) for drive in machine.drives]
+        self._axes = [_Axis(drive) for drive in machine.drives]
 
     def at(self, t_us: float) -> Sequence[AxisNow]:
         """The axes that are heard, at a time [host µs]; none before all have said where they are.
@@ -65,7 +63,7 @@ class Whereabouts:
         for place, (drive, axis) in enumerate(zip(machine.drives, self._axes, strict=True)):
             if t_us > drive.heard_us + HEARD_US or machine.group.silent(drive):
                 continue
-            planned = self._planned(drive, axis.records)
+            planned = self._planned(drive)
             axis.does(t_us, None if planned is None else machine.group.phase in BEGUN)
             if planned is None:
                 position_qc, velocity_qc_s = axis.carried_on(t_us)
@@ -74,26 +72,26 @@ class Whereabouts:
             heard.append(AxisNow(place, position_qc, velocity_qc_s))
         return heard
 
-    def _planned(self, drive: Drive, records: PvtAxis | None) -> Planned | None:
+    def _planned(self, drive: Drive) -> Planned | None:
         """What the axis is to do, if that is known and it does it."""
         machine, demand_qc = self._machine, drive.demand_qc
         if machine.group.phase in NOT_BEGUN or machine.group.phase is Phase.STANDING:
             return None if demand_qc is None else lambda t_us: (float(demand_qc), 0.0)
         if machine.group.phase not in BEGUN:
             return None
-        if records is None or machine.interpolated not in machine.group.modes:
+        followers = machine.followers
+        if not followers.follows(drive) or machine.group.modes != followers.modes:
             return None if drive.demand is None else drive.demand.at
         if machine.path_time.start_us is None:
             return None
-        audit, at_ms = records.audit, machine.path_time.at_ms
-        return lambda t_us: audit.demand(at_ms(t_us) or 0.0)
+        at_ms = machine.path_time.at_ms
+        return lambda t_us: followers.demand(drive, at_ms(t_us) or 0.0)
 
 
 class _Axis:
     """One axis, and what is known of its following error."""
 
-    def __init__(self, drive: Drive, records: PvtAxis | None) -> None:
-        self.records = records
+    def __init__(self, drive: Drive) -> None:
         self._drive = drive
         self._delay_us = 0.0
         self._rest_qc = 0.0

@@ -399,8 +399,7 @@ def test_axes_of_all_families_leave_on_one_sync_and_arrive_within_a_millisecond(
     for axis, drive in zip(config.axes, drives, strict=True):
         assert drive.position_actual == pytest.approx(targets[axis.joint] * QC_PER_RAD, abs=1)
     there = Trajectory(
-        ("joint_1", "joint_2", "joint_3", "z_4", "z_5"), np.array([0.0, 1.0]),
-        np.array([[1.0, -0.31, 0.05, 0.7, -0.021], [0.0] * 5]),
+        tuple(targets), np.array([0.0, 1.0]), np.array([list(targets.values()), [0.0] * 7])
     )  # fmt: skip
     bench.path.submit(there, None, bench.now_us)
     bench.wait(bench.group.motion)

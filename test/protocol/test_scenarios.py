@@ -6,6 +6,7 @@ runs through otherwise breaks that promise.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -15,11 +16,13 @@ from epos2_ros.bus.cia402_node import Cia402Node
 from epos2_ros.protocol import group, silence, watch
 from epos2_ros.protocol.outputs import outputs
 from epos2_ros.protocol.pvt import counted, path_audit
+from epos2_ros.protocol.setpoints import audit as set_point_audit
+from epos2_ros.protocol.setpoints import axis as set_point_axis
 from epos2_ros.protocol.synchronous import SynchronousControlwords
 
 SEEDS = range(16)
 TWO = (Axis("epos2", 60.0, ""), Axis("epos2", -60.0, ""))
-MIXED = (Axis("epos2", 60.0, ""), Axis("cl3e", 0.0, ""))  # one that tells no path
+MIXED = (Axis("epos2", 60.0, ""), Axis("cl3e", 0.0, ""))  # one that has no clock to tell
 FIRING = (Axis("epos2", 60.0, "", "interval"), Axis("copley", -60.0, "", "interval"))
 ENABLE = Action("enable", 0.0)
 MOVE = Action("move", 2.0, 0.6, 2.5)
@@ -55,11 +58,18 @@ def no_audit(monkeypatch):
     monkeypatch.setattr(counted.CountedRecords, "report", believed)
 
 
+def no_look_at_set_points(monkeypatch):
+    monkeypatch.setattr(set_point_audit.Audit, "on_sync", lambda self, path_ms, late_ms: "")
+    monkeypatch.setattr(set_point_axis.QueuedAxis, "_deadline_ms", math.inf)
+
+
 def no_watch_for_silence(monkeypatch):
+    no_look_at_set_points(monkeypatch)
     monkeypatch.setattr(silence.Silence, "silent", lambda self, drive: False)
 
 
 def no_halt_of_the_others(monkeypatch):
+    no_look_at_set_points(monkeypatch)
     monkeypatch.setattr(group.Group, "_trouble", nothing)
     monkeypatch.setattr(group.Group, "_watch_drives", nothing)
 

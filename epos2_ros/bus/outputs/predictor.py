@@ -42,12 +42,12 @@ class Predictor:
     ) -> None:
         self._supervisor = supervisor
         self._group = machine.group
-        self._interpolated = machine.interpolated
+        self._following = machine.followers
         self._profile = machine.profile
         self._outputs = outputs
         self._reactor = reactor
         self._warn = warn
-        self._followers = [joints.index(drive.joint) for drive in machine.interpolated.drives]
+        self._followers = [joints.index(drive.joint) for drive in machine.followers.drives]
         self._place = {drive: joints.index(drive.joint) for drive in machine.drives}
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="prediction")
         self._motion: Future[End] | None = None  # along a reference; None: there is none
@@ -71,10 +71,10 @@ class Predictor:
     # ------------------------------------------------------------------ trajectories
 
     def _watch_reference(self, now_us: float) -> None:
-        group, feeder = self._group, self._interpolated.feeder
-        following = group.phase in IN_MOTION and self._interpolated in group.modes
+        group, followers = self._group, self._following
+        following = group.phase in IN_MOTION and group.modes == followers.modes
         motion, before = group.motion if following else None, self._motion
-        reference = feeder.reference
+        reference = followers.reference
         if motion is not before and before is not None:
             self._finish(self._followers, self._arrival_us, now_us)
         self._motion = motion
@@ -83,7 +83,7 @@ class Predictor:
         assert reference is not None
         self._reference = reference
         if motion is before:  # the same up to the end of what is committed
-            self._compute(partial(self._extend, reference, feeder.committed_ms))
+            self._compute(partial(self._extend, reference, followers.committed_ms))
         else:
             self._begin(reference)
 

@@ -17,7 +17,7 @@ from epos2_ros.errors import TrajectoryError
 from epos2_ros.motion.reference import Reference
 from epos2_ros.protocol import cia402, epos2
 from epos2_ros.protocol.drive import Drive
-from epos2_ros.protocol.modes.mode import Mode
+from epos2_ros.protocol.modes.follower import Follower
 from epos2_ros.protocol.outbox import Outbox
 from epos2_ros.protocol.path_time import PathTime
 from epos2_ros.protocol.pvt.axis import PvtAxis
@@ -32,7 +32,7 @@ _CLOCK = (epos2.HIGH_RESOLUTION_TIME_STAMP, 0)
 _DEMAND = (epos2.POSITION_DEMAND, 0)
 
 
-class Interpolated(Mode):
+class Interpolated(Follower):
     """All `axes` follow one reference."""
 
     operation = epos2.MODE_INTERPOLATED_POSITION
@@ -65,7 +65,6 @@ class Interpolated(Mode):
         self._broken = ""  # why the reference can't be followed
 
     def plan(self, reference: Reference) -> None:
-        """What `begin` begins, from where the axes stand."""
         self._planned = reference
 
     # ------------------------------------------------------------------ at rest
@@ -89,6 +88,7 @@ class Interpolated(Mode):
     def begin(self) -> None:
         assert self._planned is not None
         self._broken = ""
+        self.path_ms = 0.0
         self.feeder.begin(self._planned)
         self._reads.begin()
 
@@ -129,6 +129,7 @@ class Interpolated(Mode):
         )
 
     def advance(self, path_ms: float, now_us: float) -> str:
+        self.path_ms = path_ms
         self._repeat()
         self._feed(path_ms)
         if self._broken:
@@ -164,6 +165,26 @@ class Interpolated(Mode):
 
     def active(self, drive: Drive) -> bool:
         return self._axis_of[drive].ip_active
+
+    # ------------------------------------------------------------------ what they follow
+
+    def replace(self, reference: Reference) -> None:
+        self.feeder.replace(reference)
+
+    @property
+    def committed_ms(self) -> int:
+        return self.feeder.committed_ms
+
+    @property
+    def stream_take_over_ms(self) -> float:
+        return self.feeder.stream_take_over_ms
+
+    @property
+    def ending(self) -> bool:
+        return self.feeder.ending
+
+    def demand(self, drive: Drive, path_ms: float) -> tuple[float, float]:
+        return self._axis_of[drive].audit.demand(path_ms)
 
     # ------------------------------------------------------------------ feeding
 

@@ -20,7 +20,7 @@ from collections.abc import Sequence
 from epos2_ros.errors import TrajectoryError
 from epos2_ros.motion.fit import Fitter
 from epos2_ros.motion.record import MAX_SEGMENT_MS, Record
-from epos2_ros.motion.reference import Reference
+from epos2_ros.motion.reference import Columns, Reference
 from epos2_ros.motion.stream import Stream
 from epos2_ros.protocol.pvt.axis import PvtAxis
 from epos2_ros.protocol.pvt.buffer_account import BufferAccount
@@ -35,15 +35,17 @@ STREAM_SEGMENT_MS = 16
 """Longest segment of a stream: its points are a moment ahead, and what is committed is lag."""
 
 _SLACK_QC = 1e-6
-KEPT_MS = 1000.0  # of what was commanded, for those who compare it with what is measured
-
 
 class Feeder:
-    """Feeds the buffers of `axes` along a reference. Path times are ms since the start SYNC."""
+    """Feeds the buffers of `axes` along a reference. Path times are ms since the start SYNC.
+
+    `columns`: the axes' places in references.
+    """
 
     def __init__(
         self,
         axes: Sequence[PvtAxis],
+        columns: Sequence[int],
         buffer_time_ms: float,
         stream_ahead_ms: float,
         tolerance_qc: float,
@@ -56,6 +58,7 @@ class Feeder:
         self._tolerance_qc = tolerance_qc
         self._strayed: set[int] = set()  # axes of which it was said that they can't keep it
         self._axes = axes
+        self._columns = tuple(columns)
         self._buffer_time_ms = buffer_time_ms
         self._stream_ahead_ms = min(stream_ahead_ms, buffer_time_ms)
         self._ahead_ms = self._reserve_ms = 0.0  # by which the drives have motion, and two records
@@ -64,10 +67,9 @@ class Feeder:
     def begin(self, reference: Reference) -> None:
         """A new motion, from where the drives stand."""
         self._follow(reference)
-        self.known_from_ms, self._path_ms = -math.inf, 0.0
         self.remarks.clear()
         self._strayed.clear()
-        self._fitter.begin(reference, [axis.standing_qc for axis in self._axes], HOLD_MS)
+        self._fitter.begin(self._own(reference), [axis.standing_qc for axis in self._axes], HOLD_MS)
         for axis in self._axes:
             axis.begin()
 
@@ -76,12 +78,13 @@ class Feeder:
         if self.ending:
             raise ValueError("the end of the motion is committed already")
         earliest = min(axis.account.committed_ms for axis in self._axes)
-        self.known_from_ms = max(self.known_from_ms, self._path_ms - KEPT_MS)
-        self._follow(reference.trimmed(int(max(self.known_from_ms, 0))))
-        self._fitter.replace(reference.trimmed(earliest))
+        self._follow(reference)
+        self._fitter.replace(self._own(reference.trimmed(earliest)))
+
+    def _own(self, reference: Reference) -> Columns:
+        return Columns(reference, self._columns)
 
     def _follow(self, reference: Reference) -> None:
-        self.reference = reference
         streamed = isinstance(reference.motions[-1], Stream)
         if streamed:
             self._ahead_ms, self._reserve_ms = self._stream_ahead_ms, 0.0
@@ -119,7 +122,6 @@ class Feeder:
         One at a time, so that between records whoever calls looks at the bus. TrajectoryError
         when the reference can't be followed within tolerance and limits.
         """
-        self._path_ms = path_ms
         if self.due_ms > path_ms:
             return None
         index, axis = min(
