@@ -147,8 +147,8 @@ class Feeder:
             self._strayed.add(index)
             self.remarks.append(
                 f"{axis} is {off_qc:.3g} qc off the commanded path at {from_ms / 1000:.3f} s, "
-                f"ipm.tolerance is {self._tolerance_qc:g} qc: whole counts and its limits leave "
-                "no way within it"
+                f"ipm.tolerance is {self._tolerance_qc:g} qc: no segment of whole counts and "
+                "velocity units within its limits is nearer"
             )
         return record
 
