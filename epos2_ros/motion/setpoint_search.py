@@ -277,7 +277,7 @@ def _offer(
     ms = int(ceil(of.duration - 1e-9))
     end = begin + ms
     slot = _slot(end, before, slots)
-    p1 = p + sign * place(of, float(ms))
+    p1 = p + sign * place(of, float(ms)) if passes else target  # exactly, or it would not end
     v1 = sign * velocity if passes else 0.0
     astray = p1 - _commanded(positions, end)
     hurry = v1 * aims.velocity_unit - (
