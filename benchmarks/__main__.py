@@ -1,4 +1,4 @@
-"""The tables of docs/motion.md, printed and as JSON: `python -m benchmarks [TABLE …]`."""
+"""Tables of docs/motion.md and docs/mixed.md, also as JSON: `python -m benchmarks [TABLE …]`."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from . import cases, frames, optimum, smoothness, speed
+from . import cases, frames, optimum, set_points, smoothness, speed
 from .table import Table
 
 DEFAULT_SEEDS = (1, 2, 3)
+PLANNED = ("pick_place", "jerk_limited")
 QUICK = ("jerk_limited", "raster_scan")  # what the exhaustive search does in minutes
 
 Tables = Callable[[argparse.Namespace], Iterator[Table]]
@@ -29,6 +30,10 @@ TABLES: dict[str, tuple[Tables, str]] = {
             list(map(cases.example, cases.EXAMPLES if chosen.all else QUICK))
         ),
         "number of records against the fewest there can be; minutes",
+    ),
+    "set-points": (
+        lambda chosen: set_points.tables(list(map(cases.example, PLANNED))),
+        "error of axes that follow by set-points against the best (docs/mixed.md); minutes",
     ),
     "smoothness": (
         lambda chosen: chain(
