@@ -24,6 +24,7 @@ from where the drive will really be, and nothing accumulates.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import floor, inf
 from typing import NamedTuple
@@ -33,12 +34,14 @@ from numpy.typing import NDArray
 
 from epos2_ros.motion import setpoint_search as search
 from epos2_ros.motion.fit import Reference
+from epos2_ros.motion.pvt import Executed
 
 FEEDING_MS = 60
 """A host needs at most so long from a set-point's begin until the next one is queued."""
 
 
 LONGEST_MS = 400
+_STOOD_MS = 1 << 16  # looked at in one piece
 
 
 class SetPoint(NamedTuple):
@@ -166,3 +169,46 @@ class SetPointFitter:
             known = np.concatenate((known, reference.positions(k)[:, self.column]))
         self._samples, self._first_ms = known, self.committed_ms
         return search.vector(known)
+
+
+def executed(
+    start_qc: int, points: Sequence[SetPoint], axis: SetPointAxis
+) -> Iterator[tuple[int, Executed]]:
+    """What a drive standing at `start_qc` makes of `points`, at every millisecond.
+
+    One set-point after the other, and what it stands before it: the path time at which that begins
+    and the curve from there to its end. Where it ends the acceleration is that before.
+    """
+    velocity_unit, rate_unit = axis.velocity_unit_qc_s * 1e-3, axis.acceleration_unit_qc_s2 * 1e-6
+    now_ms, position, speed = 0, float(start_qc), 0.0  # signed [qc/ms]
+    for point in points:
+        while now_ms < point.begin_ms:
+            until_ms = min(now_ms + _STOOD_MS, point.begin_ms)
+            still = np.zeros(until_ms - now_ms + 1)
+            yield now_ms, Executed(still + position, still, still)
+            now_ms = until_ms
+        sign = 1.0 if point.target_qc > position else -1.0
+        of = search.shape(
+            abs(point.target_qc - position),
+            speed * sign,
+            point.velocity * velocity_unit,
+            point.acceleration * rate_unit,
+            point.deceleration * rate_unit,
+            float(point.passes),
+        )
+        t = np.arange(point.end_ms - point.begin_ms + 1.0)
+        if not point.passes:
+            t = np.minimum(t, of.duration)
+        ramped = np.minimum(t, of.ramp)
+        braked = np.maximum(t - of.brakes, 0.0) if of.braking else np.zeros(len(t))
+        way = of.speed * ramped + of.rate * ramped**2 / 2
+        way += of.top * (t - ramped) - of.braking * braked**2 / 2
+        velocity = of.speed + of.rate * ramped - of.braking * braked
+        rate = np.where(t <= of.ramp, of.rate, np.where(braked > 0.0, -of.braking, 0.0))
+        yield (
+            point.begin_ms,
+            Executed(position + sign * way, sign * velocity * 1e3, sign * rate * 1e6),
+        )
+        now_ms, position = point.end_ms, float(position + sign * way[-1])
+        speed = float(sign * of.top) if point.passes else 0.0
+        position = position if point.passes else float(point.target_qc)

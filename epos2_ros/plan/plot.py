@@ -13,7 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from epos2_ros.plan.planning import Array, AxisPlan, Piece, Plan
+from epos2_ros.plan.axis import Array, AxisPlan, Piece, SetPointsPlan
+from epos2_ros.plan.planning import Plan
 
 ORDERS = ("position", "velocity", "acceleration")  # derivatives of the curves
 DRAWN = 200_000  # instants of each curve, at most
@@ -45,14 +46,14 @@ def _figure(plan: Plan, title: str) -> Figure:
     figure = Figure(figsize=size, layout="constrained")
     grid = figure.subplots(len(plan.axes), columns, sharex=True, squeeze=False)
     step_ms = 1 + plan.reference.end_ms // DRAWN
-    t_s = np.arange(0, plan.reference.end_ms + 1, step_ms) / 1000
     for row, axis in enumerate(plan.axes):
         samples, knots = axis.samples(step_ms), Knots.of(axis)
         for order in range(len(ORDERS)):
-            commanded = plan.reference.evaluate(t_s, order)[:, row]
+            commanded = plan.reference.evaluate(samples.k / 1000, order)[:, row]
             _draw_curves(grid[row, order], axis, samples, knots, commanded, order)
             _draw_limits(grid[row, order], _bounds(plan, row, order))
-        _draw_error(grid[row, -1], samples, knots, plan.config.tolerance)
+        within_qc = axis.extremes[2] if isinstance(axis, SetPointsPlan) else plan.config.tolerance
+        _draw_error(grid[row, -1], samples, knots, within_qc)
     for column, quantity in enumerate((*ORDERS, "executed − commanded")):
         grid[0, column].set_title(quantity)
     for axes in grid.flat:
@@ -66,7 +67,7 @@ def _figure(plan: Plan, title: str) -> Figure:
         handles=[
             Line2D([], [], label="commanded", **COMMANDED),
             Line2D([], [], label="executed", **EXECUTED),
-            Line2D([], [], label="knots (records)", **KNOTS),
+            Line2D([], [], label="knots (records, set-points)", **KNOTS),
             Line2D([], [], label="limit", **LIMIT),
             Patch(label="tolerance", **TOLERANCE),
         ],
@@ -78,7 +79,7 @@ def _figure(plan: Plan, title: str) -> Figure:
 
 
 class Knots(NamedTuple):
-    """Where the records of an axis end; of very many every so many."""
+    """Where the records or set-points of an axis end; of very many every so many."""
 
     t_s: Array
     curves_qc: tuple[Array, Array]  # position and velocity
@@ -86,13 +87,11 @@ class Knots(NamedTuple):
 
     @classmethod
     def of(cls, axis: AxisPlan) -> Knots:
-        knots_ms = axis.knots_ms
-        rows = [(axis.start_qc, 0), *((r.position, r.velocity) for r in axis.records if r.time > 0)]
-        every = 1 + len(rows) // DRAWN
-        position, velocity = np.array(rows[::every], dtype=np.float64).T
-        commanded_qc = axis.reference.positions(knots_ms[::every])[:, axis.column]
-        curves = position, velocity * axis.velocity_unit_qc_s
-        return cls(knots_ms[::every] / 1000, curves, position - commanded_qc)
+        every = 1 + len(axis.knots.k) // DRAWN
+        k, position, velocity = axis.knots
+        k, position, velocity = k[::every], position[::every], velocity[::every]
+        commanded_qc = axis.reference.positions(k)[:, axis.column]
+        return cls(k / 1000, (position, velocity), position - commanded_qc)
 
 
 def _draw_curves(

@@ -19,7 +19,7 @@ from epos2_ros.plan import report
 from epos2_ros.plan.move import make_move_plan
 from epos2_ros.plan.outputs import OutputPlans, write_csv
 from epos2_ros.plan.planning import make_plan
-from epos2_ros.protocol.families import follows_records
+from epos2_ros.protocol.families import PROFILE, follows_by
 
 DRAWINGS = (".png", ".svg", ".html")
 
@@ -108,7 +108,7 @@ def _say_what_is_compiled() -> None:
 
 def _moves(trajectory: Trajectory, config: DriverConfig) -> bool:
     """Whether it is a message for `~/move_to`."""
-    beside = {axis.joint for axis in config.axes if not follows_records(axis)}
+    beside = {axis.joint for axis in config.axes if follows_by(axis) == PROFILE}
     return len(trajectory.times_s) == 1 and set(trajectory.joint_names) <= beside
 
 
@@ -164,9 +164,10 @@ def _parameters(
 def _arguments(argv: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="epos2_ros plan",
-        description="What the driver would make of a trajectory: the records of each axis, their "
-        "error and extremes, what position-triggered outputs fire, the load of the bus. One point "
-        "for joints that follow no trajectory is a move (~/move_to). Needs neither a bus nor ROS.",
+        description="What the driver would make of a trajectory: the records or set-points of each "
+        "axis, their error and extremes, what position-triggered outputs fire, the load of the "
+        "bus. One point for joints that follow no trajectory is a move (~/move_to). Needs neither "
+        "a bus nor ROS.",
     )
     parser.add_argument(
         "trajectory",
@@ -200,7 +201,7 @@ def _arguments(argv: Sequence[str]) -> argparse.Namespace:
         metavar="FILE",
         help=f"draw the curves, errors and knots; {', '.join(DRAWINGS)}",
     )
-    parser.add_argument("--csv", type=Path, metavar="FILE", help="write the records")
+    parser.add_argument("--csv", type=Path, metavar="FILE", help="write the records and set-points")
     parser.add_argument(
         "--events",
         type=Path,

@@ -11,9 +11,10 @@ from typing import TextIO
 from epos2_ros.bus.settings import ACCELERATION_HEADROOM, ROUNDING_S, VELOCITY_HEADROOM
 from epos2_ros.motion.limits import BEYOND_POINTS, RELATIVE_SLACK
 from epos2_ros.plan import move, outputs
+from epos2_ros.plan.axis import AxisPlan, SetPointsPlan
 from epos2_ros.plan.move import MovePlan
 from epos2_ros.plan.outputs import OutputPlans
-from epos2_ros.plan.planning import AxisPlan, Plan
+from epos2_ros.plan.planning import Plan
 
 HEADINGS = (
     *("axis", "records", "per s", "error [qc]", "position from", "to", "allowed"),
@@ -25,6 +26,11 @@ BEYOND_NOTE = (
     f"{BEYOND} beyond the limit, which the commanded curve keeps: records are rounded; drives "
     f"fault at {VELOCITY_HEADROOM:.0%} of the velocity and {ACCELERATION_HEADROOM:.0%} of the "
     f"acceleration, and what a count more within {ROUNDING_S * 1000:g} ms takes on top"
+)
+QUEUED = "°"  # marks who gets no records
+QUEUED_NOTE = (
+    f"{QUEUED} set-points of profile position mode: the drive has no buffer of records, and is as "
+    "near to the commanded curve as the error says, whatever the tolerance"
 )
 CSV_COLUMNS = ("joint", "record", "path_ms", "position_qc", "velocity", "time_ms", "frame")
 
@@ -75,27 +81,25 @@ def page(plan: Plan, title: str, source: str, drawing: str) -> str:
 
 
 def write_csv(plan: Plan, file: TextIO) -> None:
-    """The records of each axis as its drive gets them, in order.
+    """The records and set-points of each axis as its drive gets them, in order.
 
     `velocity` is in the drive's velocity units, `path_ms` when the segment ends, `frame` as
-    `cansend` takes it. Record 0 is not sent, it is where the axis stands at the start; a Copley
-    drive gets that position before the first segment.
+    `cansend` takes it; a set-point's parameters are two. Record 0 is not sent, it is where the axis
+    stands at the start; a Copley drive gets that position before the first segment.
     """
     table = csv.writer(file)
     table.writerow(CSV_COLUMNS)
     for axis in plan.axes:
         joint = axis.config.joint
         table.writerow((joint, 0, 0, axis.start_qc, 0, 0, ""))
-        path_ms = 0
-        for number, (record, frame) in enumerate(zip(axis.records, axis.frames(), strict=True), 1):
-            path_ms += record.time
-            text = f"{frame.can_id:03X}#{frame.data.hex().upper()}"
-            table.writerow((joint, number, path_ms, *record, text))
+        for number, (end_ms, *told, frames) in enumerate(axis.sent(), 1):
+            text = " ".join(f"{frame.can_id:03X}#{frame.data.hex().upper()}" for frame in frames)
+            table.writerow((joint, number, end_ms, *told, text))
 
 
 def rows(plan: Plan) -> list[tuple[str, ...]]:
     """The cells of the table: a row for each axis, and one for all."""
-    records = sum(len(axis.records) for axis in plan.axes)
+    records = sum(axis.count for axis in plan.axes)
     total = ("all", f"{records}", _per_second(records, plan))
     return [
         *(_row(plan, axis, column) for column, axis in enumerate(plan.axes)),
@@ -106,6 +110,8 @@ def rows(plan: Plan) -> list[tuple[str, ...]]:
 def notes(plan: Plan) -> list[str]:
     """What has to be said of the table."""
     said = [BEYOND_NOTE] if any(BEYOND in cell for row in rows(plan) for cell in row) else []
+    if any(isinstance(axis, SetPointsPlan) for axis in plan.axes):
+        said.append(QUEUED_NOTE)
     if plan.reference.remark:
         said.append(f"warning: {BEYOND_POINTS}: {plan.reference.remark}")
     return said + [f"warning: {remark}" for remark in plan.remarks]
@@ -118,13 +124,13 @@ def figures(plan: Plan) -> list[tuple[str, str]]:
         ("duration", f"{plan.duration_s:.3f} s"),
         (
             "bus load",
-            f"{load.records + load.others:.1%} at {plan.config.bitrate / 1e6:g} Mbit/s: records "
-            f"{load.records:.1%}, SYNC and reports of the drives {load.others:.1%}; "
+            f"{load.sent + load.others:.1%} at {plan.config.bitrate / 1e6:g} Mbit/s: "
+            f"{_kinds(plan)} {load.sent:.1%}, SYNC and reports of the drives {load.others:.1%}; "
             f"{load.busiest:.1%} in the busiest second",
         ),
         (
             "first motion",
-            f"{latency.total_ms:.0f} ms after the message is there: {latency.records} records "
+            f"{latency.total_ms:.0f} ms after the message is there: {latency.sent} {_kinds(plan)} "
             f"fitted ({latency.computing_ms:.0f} ms, measured here), sent and reported by the "
             "drives, start sent; delays of the adapter come on top",
         ),
@@ -137,8 +143,8 @@ def _row(plan: Plan, axis: AxisPlan, column: int) -> tuple[str, ...]:
     velocity, acceleration = axis.peaks
     return (
         f"{config.joint} [{axis.units.unit}]",
-        f"{len(axis.records)}",
-        _per_second(len(axis.records), plan),
+        f"{QUEUED if isinstance(axis, SetPointsPlan) else ''}{axis.count}",
+        _per_second(axis.count, plan),
         f"{error_qc:.2f}",
         _fixed(lowest, 5),
         _fixed(highest, 5),
@@ -146,6 +152,13 @@ def _row(plan: Plan, axis: AxisPlan, column: int) -> tuple[str, ...]:
         *_against(velocity, float(limits.velocity[column]), 4),
         *_against(acceleration, float(limits.acceleration[column]), 3),
     )
+
+
+def _kinds(plan: Plan) -> str:
+    """What the axes are sent."""
+    queued = {isinstance(axis, SetPointsPlan) for axis in plan.axes}
+    kinds = {False: "records", True: "set-points"}
+    return " and ".join(kinds[kind] for kind in sorted(queued))
 
 
 def _per_second(records: int, plan: Plan) -> str:

@@ -11,6 +11,7 @@ import io
 import math
 import os
 import re
+import struct
 import subprocess
 import sys
 import tracemalloc
@@ -27,6 +28,7 @@ import rclpy
 import yaml
 from rclpy.context import Context
 from rclpy.node import Node
+from set_points import drive_executes
 from shipped import PARAMETER_FILES
 from simulated_time import Bench
 from trajectories import EXAMPLES, NAMES, example, example_message
@@ -44,7 +46,8 @@ from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.motion.units import AxisUnits
 from epos2_ros.node.parameters import Parameters
 from epos2_ros.plan import report
-from epos2_ros.plan.planning import AxisPlan, make_plan
+from epos2_ros.plan.axis import RecordsPlan, SetPointsPlan
+from epos2_ros.plan.planning import make_plan
 from epos2_ros.protocol.phase import Phase
 
 CONFIG = EXAMPLES.parent / "config"
@@ -164,16 +167,58 @@ def test_the_table_is_what_the_records_do(name, command, tmp_path):
     assert ended.figure("duration") == f"{path_ms / 1000:.3f} s"
 
 
+def of_three_makers(tmp_path: Path) -> Path:
+    """The arm, with a Copley drive at its second joint and a CL3-E at its last."""
+    given = read_parameters(CONFIG / "arm.yaml")
+    for joint, drive in (("shoulder_lift_joint", "copley"), ("wrist_3_joint", "cl3e")):
+        given[f"axes.{joint}.drive"] = drive
+    given["axes.wrist_3_joint.max_acceleration"] = 10.0
+    file = tmp_path / "three.yaml"
+    file.write_text(yaml.safe_dump({"/**": {"ros__parameters": given}}))
+    return file
+
+
+def test_set_points_beside_records(command, tmp_path):
+    """What the drive makes of them is as far from the trajectory as the table says."""
+    params = of_three_makers(tmp_path)
+    ended = command(
+        *(EXAMPLES / "pick_place.yaml", "--params", params),
+        *("--csv", "sent.csv", "--output", "drawing.svg"),
+    )
+    assert (ended.status, ended.err) == (0, "")
+    trajectory, rows = example("pick_place"), read_csv(tmp_path / "sent.csv")["wrist_3_joint"][1:]
+    config = DriverParameters(read_parameters(params)).config()
+    planned = make_plan(trajectory, config, trajectory.positions[0].tolist())
+    axis = planned.axes[5]
+    assert isinstance(axis, SetPointsPlan)
+    end_ms = round(1000 * planned.duration_s)
+    path = drive_executes(axis.start_qc, axis.points, axis.limits, lambda: 30, end_ms).position_qc
+    commanded = Commanded(trajectory, zero_s=0.001).at(np.arange(end_ms + 1) / 1000)[:, 5]
+    count, per_s, error, low, high, *_ = ended.row("wrist_3_joint")
+    assert count == f"°{len(axis.points)}" == f"°{len(rows)}"
+    assert float(per_s) == pytest.approx(len(rows) / planned.duration_s, abs=0.051)
+    error_qc = np.abs(path - commanded * QC_PER_UNIT["rad"]).max()
+    assert float(error) == pytest.approx(error_qc, abs=0.051)
+    assert [float(low), float(high)] == pytest.approx(
+        np.array([path.min(), path.max()]) / QC_PER_UNIT["rad"], abs=1e-5
+    )
+    assert "° set-points of profile position mode" in ended.out
+    for row, point in zip(rows, axis.points, strict=True):
+        target, ramps = (bytes.fromhex(frame.split("#")[1]) for frame in row["frame"].split())
+        assert struct.unpack("<iI", target) == (point.target_qc, point.velocity)
+        assert struct.unpack("<II", ramps) == (point.acceleration, point.deceleration)
+    others = [joint for joint in trajectory.joint_names if joint != "wrist_3_joint"]
+    assert all(float(ended.row(joint)[2]) <= 1.0 for joint in others)
+
+
 def test_records_of_both_makers(command, tmp_path):
     """Of a Copley axis the frames say where each segment starts: decoded, they keep the path."""
-    params = CONFIG / "mixed.yaml"
-    arguments = ("--params", params, "--csv", "records.csv")
+    arguments = ("--params", of_three_makers(tmp_path), "--csv", "records.csv")
     ended = command(EXAMPLES / "pick_place.yaml", *arguments)
     assert (ended.status, ended.err) == (0, "")
     trajectory = example("pick_place")
     by_joint = read_csv(tmp_path / "records.csv")
     assert tuple(by_joint) == trajectory.joint_names
-    assert {float(ended.row(joint)[2]) <= 1.0 for joint in by_joint} == {True}
     rows, column = by_joint["shoulder_lift_joint"], 1
     frames = [row["frame"].split("#") for row in rows[1:]]
     assert {can_id for can_id, _ in frames} == {"202"}
@@ -267,7 +312,7 @@ def test_plan_and_driver_agree(monkeypatch):
     until = np.concatenate(([0], np.cumsum(bits)))
     seconds = until[np.searchsorted(t_us, t_us + 1e6)] - until[:-1]
     # It counts what the drives may report at most; those of axes that rest report nothing.
-    assert mean <= planned.load.records + planned.load.others <= 1.5 * mean
+    assert mean <= planned.load.sent + planned.load.others <= 1.5 * mean
     assert seconds.max() <= planned.load.busiest * config.bitrate <= 1.4 * seconds.max()
 
 
@@ -666,7 +711,7 @@ def test_the_plan_is_the_same_however_it_is_cut_into_pieces(name, command, monke
         return out[: out.index("first motion")]  # which is measured
 
     whole = table()
-    monkeypatch.setattr("epos2_ros.plan.planning.PIECE_MS", 700)
+    monkeypatch.setattr("epos2_ros.plan.axis.PIECE_MS", 700)
     assert table() == whole
 
 
@@ -676,7 +721,7 @@ def test_memory_does_not_grow_with_the_length_of_the_motion():
     records = (*[Record(0, 0, 250)] * 14_400, Record(0, 0, 0))
     units = AxisUnits.of(axis)
     reference = Reference.at_rest([units], [0.0])
-    long = AxisPlan(axis, units, units.velocity_unit_qc_s, 0, records, reference, 0)
+    long = RecordsPlan(axis, units, 0, reference, 0, units.velocity_unit_qc_s, records)
     tracemalloc.start()
     try:
         assert long.extremes == (0.0, 0.0, 0.0)

@@ -28,7 +28,20 @@ CHANGE_ON_SETPOINT = 0x0200
 SETPOINT_ACKNOWLEDGED = 0x1000
 
 RESEND_US = 15_000.0  # what is not answered by then is told again
-_COPIES = 2
+COPIES = 2
+
+
+def parameters(set_point: SetPoint, node_id: int) -> tuple[Frame, Frame]:
+    """The frames that tell a drive what a set-point is made of."""
+    target = set_point.target_qc.to_bytes(4, "little", signed=True)
+    velocity, up, down = (
+        value.to_bytes(4, "little")
+        for value in (set_point.velocity, set_point.acceleration, set_point.deceleration)
+    )
+    return (
+        Frame(epos2.RPDO1 + node_id, target + velocity),
+        Frame(epos2.RPDO3 + node_id, up + down),
+    )
 
 
 class Step(Enum):
@@ -70,22 +83,13 @@ class Handshake:
 
         At infinity somebody else tells the drive: a synchronous controlword, and then `raised`.
         """
-        target = set_point.target_qc.to_bytes(4, "little", signed=True)
-        velocity, up, down = (
-            value.to_bytes(4, "little")
-            for value in (set_point.velocity, set_point.acceleration, set_point.deceleration)
-        )
-        node_id = self._drive.node_id
-        self._parts = (
-            Frame(epos2.RPDO1 + node_id, target + velocity),
-            Frame(epos2.RPDO3 + node_id, up + down),
-        )
+        self._parts = parameters(set_point, self._drive.node_id)
         self.step, self._bits, self._raise_us = Step.OFFERED, bits, raise_us
         return self._send_parts(now_us)
 
     def _send_parts(self, now_us: float) -> Sequence[Frame]:
         self._told_us = now_us
-        frames = self._parts * _COPIES
+        frames = self._parts * COPIES
         self._unseen = [frame.data for frame in frames]
         return frames
 
