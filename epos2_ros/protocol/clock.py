@@ -239,8 +239,10 @@ class MasterClock:
             clock, passed_us = latched[drive], common_us - float(self._at_us[drive])
             if clock is None or passed_us <= 0:
                 continue
-            count = self._compared[drive] = self._compared[drive] + 1
             rate = wrapped(clock - (self._shown[drive] or 0)) / passed_us - 1
+            if abs(rate) > 2 * MAX_DRIFT:
+                continue  # no two quartzes differ so much: one has jumped
+            count = self._compared[drive] = self._compared[drive] + 1
             bend = rate - float(self._faster[drive])
             if count > MIN_FIT:
                 bend = min(max(bend, -BEND), BEND)

@@ -20,7 +20,7 @@ from epos2_ros.configuration.driver import DriverConfig
 from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.protocol.clock import MasterClock, time_of_day
 from epos2_ros.protocol.phase import Phase
-from epos2_ros.sim.epos2 import Epos2
+from epos2_ros.sim.epos2 import Dictionary, Epos2
 
 WRAP = 1 << 32
 SYNC, STAMP = 0x080, 0x400
@@ -205,6 +205,31 @@ def test_a_clock_that_jumps_takes_no_other_along(jump_us):
         most_us = max(most_us, np.abs(moved).max())
     assert most_us <= 25 if jump_us > 200 else most_us <= jump_us + 25
     assert np.ptp(clocks(made)) <= 12
+
+
+@pytest.mark.parametrize("producer", ["host", "joint_2"])
+@pytest.mark.parametrize("count", [2, 3])
+@pytest.mark.parametrize("after", [1, 2, 3, 5, 9])
+def test_a_clock_that_jumps_while_the_others_are_not_known_yet(after, count, producer):
+    """The clocks go on as fast as time does, and apart by what it was at most."""
+    config = DriverConfig(axes=axes(count), sync_producer=producer)
+    made = Bench(
+        config,
+        [
+            Epos2(n, offset_us=3e5 * n, drift_ppm=150.0 * (-1) ** n, dictionary=Dictionary.NOTE)
+            for n in range(1, count + 1)
+        ],
+    )
+    for _ in range(after):
+        run_to_sync(made)
+    made.run(0.03)
+    made.drives[0].clock._offset_us += 12e3
+    made.run(2.5)
+    before, begun_us = clocks(made), made.now_us
+    made.run(2.0)
+    passed_us = made.now_us - begun_us
+    assert clocks(made) - before == pytest.approx(np.full(count, passed_us), rel=5e-4)
+    assert np.ptp(clocks(made)) < 100
 
 
 def test_a_stamp_tells_when_the_sync_was():
