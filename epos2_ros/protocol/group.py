@@ -55,6 +55,7 @@ from epos2_ros.protocol.watch import Watch
 SETTLING_SYNCS = 10  # as many periods, and REPLY_TIMEOUT_US, has a group to be ready in
 REPLY_TIMEOUT_US = 1_000_000.0  # for one step of a drive that has been told something
 READY_TIMEOUT_US = 3_000_000.0  # for a mode to be set, and what it takes to stand in it
+_CLOCK = (epos2.HIGH_RESOLUTION_TIME_STAMP, 0)
 UNKNOWN_MODE = 0  # of operation
 STOP_TIMEOUT_US = 5_000_000.0  # for an axis to come to rest after a halt or quick stop
 HALT_REACTION_US = 100_000.0  # a drive that has not begun to halt by then is quick-stopped
@@ -188,11 +189,16 @@ class Group:
         """A drive has told these objects."""
         if not reported:
             return
+        if _CLOCK in reported and not self._on_clock(drive, t_us):
+            reported = reported - {_CLOCK}
         self._off_path(drive, self._mode_of(drive).on_report(drive, reported, t_us))
+
+    def _on_clock(self, drive: Drive, t_us: float) -> bool:
+        """A drive has told its clock at a SYNC; False: at one before the last."""
         index = self._clocked.get(drive)
-        told = (epos2.HIGH_RESOLUTION_TIME_STAMP, 0) in reported
-        if told and index is not None and drive.latched is not None:
-            self.time.on_answer(index, drive.latched, t_us)
+        if index is None or drive.latched is None:
+            return True
+        return self.time.on_answer(index, drive.latched, t_us)
 
     def _off_path(self, drive: Drive, wrong: str) -> None:
         """What a mode says of what its drive reports, where it matters."""

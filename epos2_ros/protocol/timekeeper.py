@@ -218,26 +218,28 @@ class Timekeeper:
         """The request to a drive for its clock was on the bus."""
         self._asked_us = t_us
 
-    def on_answer(self, drive: int, latched: int, now_us: float) -> None:
-        """A drive has answered a SYNC with what its clock was then."""
+    def on_answer(self, drive: int, latched: int, now_us: float) -> bool:
+        """A drive has answered a SYNC with what its clock was then; False: not the last one."""
         if self._unstamped_us == math.inf:
             if self._reads and self._latched[drive] is None:
                 self._stray[drive] = _LATE
-            return
+                return False
+            return True
         ahead_us = self.clock.ahead_us(drive, latched, self._unstamped_us)
         if any(
             abs(self.clock.ahead_us(drive, latched, sync_us)) < min(LATE_US, abs(ahead_us))
             for sync_us in self._syncs_us
         ):
             self._stray[drive] = _LATE
-            return
+            return False
         self._ahead_us[drive] = ahead_us
         if abs(ahead_us) > (self._unstamped_us - self._syncs_us[0]) / 2:
             self._stray[drive] = f"its clock is off by {ahead_us / 1000:+.1f} ms"
-            return
+            return True
         self._missed[drive], self._stray[drive] = 0, ""
         self._read_us[drive] = self._unstamped_us
         self._latched[drive] = latched
+        return True
 
     def on_stamp(self, drive: int) -> None:
         """A drive has got its time stamp."""
