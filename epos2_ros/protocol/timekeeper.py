@@ -39,6 +39,7 @@ HEARTBEAT_PERIOD_US = 80_000.0  # of the host; the drives watch it for 0.5 s (0x
 HOST_NODE_ID = 127
 OPERATIONAL = b"\x05"
 ANSWER_US = 500.0  # per axis, for its two synchronous TPDOs, before the next SYNC
+ANSWER_BITS, ANSWERS_SHARE = 135, 0.3  # no more of the bus is taken for SYNC and its answers
 READ_BITS = 250  # to read a drive's clock: two SDO frames
 READ_SHARE = 0.05  # of the bus, for all drives
 CLOCK_ROUND_US = 1_000_000.0  # within so long each is asked once, if the bus can take that, …
@@ -93,7 +94,8 @@ class Timekeeper:
         self._ask_all = True  # at the next SYNC
         self.clock = MasterClock(len(drives), corrected_us, master_index)
         self.sync_count = 0
-        self.often_us = math.inf  # from SYNC to SYNC, where the period is too long
+        self.often_us = math.inf  # from SYNC to SYNC, where the period is too long, …
+        self._least_us = ANSWER_BITS * (answering + 1) / ANSWERS_SHARE / bitrate * 1e6  # … at least
         self._master = master_index
         self._answering = answering
         self._out = out
@@ -275,8 +277,7 @@ class Timekeeper:
         """When a SYNC of ours goes out."""
         if self.often_us == math.inf or not self.produces:
             return self._sync_due_us
-        pause_us = max(self.often_us, 2 * ANSWER_US * (self._answering + 1))
-        return min(self._sync_due_us, self._last_sync_us + pause_us)
+        return min(self._sync_due_us, self._last_sync_us + max(self.often_us, self._least_us))
 
     @property
     def clear(self) -> bool:

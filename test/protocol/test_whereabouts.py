@@ -13,6 +13,7 @@ from benchmarks.joint_states import bench, compare, stand
 from epos2_ros.configuration.driver import DriverConfig
 from epos2_ros.errors import MotionAborted
 from epos2_ros.protocol.whereabouts import Whereabouts
+from epos2_ros.sim.epos2 import Epos2
 
 MOTION = there_and_back(4.0, 0.6, joints=3)
 
@@ -90,6 +91,31 @@ def test_states_go_on_through_every_stop_and_after_it(made, stop):
     assert all(axis.velocity_qc_s == 0 for axis in seen[-1])
     assert motion.done()
     assert motion.exception() is None or isinstance(motion.exception(), MotionAborted)
+
+
+@pytest.mark.parametrize(
+    ("bitrate", "least_s", "most_s"), [(1_000_000, 0.01, 0.012), (50_000, 0.03, 0.06)]
+)
+def test_syncs_come_often_while_axes_brake_as_far_as_the_bus_takes_it(bitrate, least_s, most_s):
+    """Every 10 ms; the answers of three drives, of 135 bits at most, take a third of the bus."""
+    config = DriverConfig(axes=axes(3, stop_deceleration=0.5), bitrate=bitrate)
+    made = Bench(config, [Epos2(n, bitrate=bitrate) for n in (1, 2, 3)])
+    made.enable()
+    made.path.submit(MOTION, None, made.now_us)
+    made.run(1.0)
+    halted = made.group.halt()
+    made.run(0.1)
+    made.frames.clear()
+    made.run(0.2)
+    assert not halted.done()
+    syncs = [t for t, f, _ in made.frames if f.can_id == 0x080]
+    apart_s = np.diff(syncs) / 1e6
+    assert least_s * 0.99 <= apart_s.min()
+    assert apart_s.max() <= most_s
+    made.wait(halted)
+    made.frames.clear()
+    made.run(1.0)
+    assert sum(f.can_id == 0x080 for _, f, _ in made.frames) == 10
 
 
 def test_a_blocked_axis_is_where_it_is(made):
