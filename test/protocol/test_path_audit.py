@@ -203,6 +203,23 @@ def test_a_drive_that_always_answers_late_is_told(late_us):
     assert at_s < 2.0 + 0.9
 
 
+@pytest.mark.parametrize("segment_ms", [20, 30, 45, 83])
+def test_a_drive_that_stands_for_long_at_its_end_is_not_complained_of(segment_ms):
+    """However many segments are remembered then."""
+    for count in range(60, 150):
+        sent = [Record(100 * n, 0, segment_ms) for n in range(1, count + 1)]
+        audit, truth = PathAudit(UNIT_QC_S, 1.0, 100e3), Executed(0, sent)
+        audit.rest(0)
+        for record in [*sent, Record(sent[-1].position, 0, 0)]:
+            audit.send(record)
+        for number in range(count * segment_ms // 100 + 80):
+            t_us = 1e5 * number
+            demand = round(truth.at(min(100 * number, count * segment_ms)))
+            assert not audit.on_sync(t_us, number == 0)
+            assert not audit.on_clock(100_000 * number, t_us + 400.0)
+            assert not audit.on_demand(demand, t_us + 500.0)
+
+
 def test_no_more_answers_are():
     rng = random.Random(3)
     run = Run(some_records(rng, 30.0), seed=3)

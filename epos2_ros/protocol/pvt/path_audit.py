@@ -293,8 +293,8 @@ class PathAudit:
         )
 
     def _forget(self, before_ms: int) -> None:
-        """Drop segments that ended long ago, so that hours of motion need no memory."""
-        gone = bisect_left(self._ends_ms, before_ms)
+        """Drop what ended long ago, but the last segment: hours of motion need no memory."""
+        gone = min(bisect_left(self._ends_ms, before_ms), len(self._ends_ms) - 1)
         if gone > 64:
             self._forgot = True
             del self._ends_ms[:gone], self._cubics[:gone]
