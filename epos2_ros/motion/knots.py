@@ -602,9 +602,7 @@ def _careful(path: Path, plan: Vector, terms: Terms, end: int, near: int, turns:
         for one in range(ends):
             at = i * ends + one
             position[at] = place + one // (2 * turns + 1)
-            velocity[at] = unit * _velocity(
-                speed + (one % (2 * turns + 1) - turns) * level, terms
-            )
+            velocity[at] = unit * _velocity(speed + (one % (2 * turns + 1) - turns) * level, terms)
             cost[at], before[at] = inf, -1.0
     position[0], velocity[0], cost[0] = p0, v0, 0.0
     best, least, ended = -1, inf, False
@@ -755,9 +753,7 @@ def advance(
             elif wider > 1:
                 tolerance += _WIDER[wider - 2]
             while not found and half > 0:
-                terms = Terms(
-                    aims[0], tolerance, aims[2], aims[3], aims[4], half, aims[6], aims[7]
-                )
+                terms = Terms(aims[0], tolerance, aims[2], aims[3], aims[4], half, aims[6], aims[7])
                 for more in range(2):
                     near, turns = _NEAR << more, _TURNS << more
                     found = found or _careful(path, plan, terms, last, near, turns)

@@ -44,6 +44,8 @@ _TURNS = 3  # and the next places where the commanded curve turns or rests
 _INSTANTS = 12  # at which an error is looked at
 _EDGE_MS = 0.01  # so near to a whole millisecond rounding decides when the next begins
 _EACH_QC = 2.0  # each set-point costs like this distance for as long as feeding takes
+_DEAR = 10.0  # a state so much dearer than another in its slot is not gone on from,
+_CHEAP_QC = 4.0  # if it is dearer than this distance for as long as feeding takes
 _MISS_MS = 20.0  # a velocity that is off costs like a distance of what it does in this time
 
 
@@ -374,6 +376,11 @@ def _arrive(ahead: _Ahead, node: int, begin: int, target: float, at_ms: int) -> 
     for arrival in range(_ARRIVALS):
         ms = at_ms - begin + (arrival - _ARRIVALS // 2) * _ARRIVES_MS
         ms = max(ms, soonest * (1 + arrival / 10))
+        surplus = speed * ms - way
+        if surplus > 0.0:  # on as fast as it is, then all of a ramp
+            down = ceil(speed * speed / (2 * surplus) / rate_unit - 1e-9) * 1.0
+            up = aims.steepest
+            _offer(ahead, node, begin, target, abs(v), up, max(down, 1.0), 0.0, _OWN)
         for step in range(_RATES):
             down = 1.0 * ceil(
                 gentlest * (aims.steepest / gentlest) ** ((step + 0.5) / _RATES) - 1e-9
@@ -464,6 +471,15 @@ def _go_on(ahead: _Ahead, node: int, now: int, end: int, turns: Vector, count: i
 
 
 @compiled
+def _dearest(ahead: _Ahead, first: int) -> float:
+    """What a state may cost to be gone on from, in the slot whose first node this is."""
+    least = inf
+    for kind in range(CLASSES):
+        least = min(least, ahead.keys[first + kind])
+    return _DEAR * least + ahead.aims.feeding * _fourth(_CHEAP_QC)
+
+
+@compiled
 def find(positions: Vector, end: int, given: Vector, state: Vector, plan: Vector) -> int:
     """Put what is to come into `plan` and the state at the end of its first set-point into `state`.
 
@@ -484,10 +500,12 @@ def find(positions: Vector, end: int, given: Vector, state: Vector, plan: Vector
     rest = floor(_commanded(positions, end) + 0.5)
     _keep(nodes, first, 0.0, -1, 0.0, state[1], state[2], state[3] - now)
     _replay(ahead, first, now, plan)
-    best, least = -1, inf
+    best, least, dearest = -1, inf, inf
     for entry in range(-1, (slots - 1) * CLASSES):
         node = first if entry < 0 else entry
-        if entry >= 0 and keys[node] == inf:
+        if entry >= 0 and entry % CLASSES == 0:
+            dearest = _dearest(ahead, entry)
+        if entry >= 0 and (keys[node] == inf or keys[node] > dearest):
             continue
         at = node * NODE
         t, p = int(nodes[at]), nodes[at + 1]

@@ -78,8 +78,7 @@ def reference_of(trajectory: Trajectory) -> Reference:
     return Reference(units, (curve_of(trajectory),))
 
 
-@pytest.mark.parametrize("name", ["pick_place", "jerk_limited"])
-@pytest.mark.parametrize("column", [0, 3])
+@pytest.mark.parametrize(("name", "column"), [("pick_place", 1), ("jerk_limited", 3)])
 def test_an_axis_of_an_example(name: str, column: int) -> None:
     """The joints turn up to 2 rad/s and 4 rad/s² (31,831 counts/rad)."""
     reference = reference_of(example(name))

@@ -182,11 +182,11 @@ def test_set_points_beside_records(command, tmp_path):
     """What the drive makes of them is as far from the trajectory as the table says."""
     params = of_three_makers(tmp_path)
     ended = command(
-        *(EXAMPLES / "pick_place.yaml", "--params", params),
+        *(EXAMPLES / "jerk_limited.yaml", "--params", params),
         *("--csv", "sent.csv", "--output", "drawing.svg"),
     )
     assert (ended.status, ended.err) == (0, "")
-    trajectory, rows = example("pick_place"), read_csv(tmp_path / "sent.csv")["wrist_3_joint"][1:]
+    trajectory, rows = example("jerk_limited"), read_csv(tmp_path / "sent.csv")["wrist_3_joint"][1:]
     config = DriverParameters(read_parameters(params)).config()
     planned = make_plan(trajectory, config, trajectory.positions[0].tolist())
     axis = planned.axes[5]
