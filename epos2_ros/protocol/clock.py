@@ -166,7 +166,7 @@ class MasterClock:
             self._sync_host_us = common_us - ahead_us - self._rate * (host_us - at_us)
             self._sync_us = self._slew(due_us)
         if self._master is not None:
-            self._sync_us = self._count_master(latched[self._master], now_us)
+            self._sync_us = self._count_master(latched[self._master], bool(told), common_us, now_us)
         self._common_us = common_us
         self._go_on(latched, bool(told))
         return True
@@ -248,13 +248,19 @@ class MasterClock:
                 bend = min(max(bend, -BEND), BEND)
             self._faster[drive] += max(1 / count, LEARN) * bend
 
-    def _count_master(self, clock: int | None, now_us: float) -> float:
-        """The time by the clock of the drive that is the master."""
+    def _count_master(
+        self, clock: int | None, counted: bool, common_us: float, now_us: float
+    ) -> float:
+        """The time by the clock of the drive that is the master, as it has told or follows."""
         assert self._master is not None
-        if clock is None:
-            return now_us
         shown = self._shown[self._master]
-        self._free_us += clock if shown is None else wrapped(clock - shown)
+        if clock is not None:
+            self._free_us += clock if shown is None else wrapped(clock - shown)
+        elif shown is not None and counted:
+            passed_us = common_us - float(self._at_us[self._master])
+            self._free_us += passed_us * (1 + float(self._faster[self._master]))
+        else:
+            return now_us
         return self._free_us
 
     def _go_on(self, latched: Sequence[int | None], counted: bool) -> None:

@@ -325,6 +325,20 @@ def test_a_lost_clock_master_stops_all():
     assert one.group.phase is Phase.FAULT
 
 
+@pytest.mark.parametrize("who", [2, 1])
+def test_answers_to_some_syncs_that_are_lost_change_no_clock(who):
+    """Of the clock master, and of another."""
+    one = made("joint_3")
+    one.run(1.0)
+    one.drives[who].disconnect()
+    one.run(0.3)
+    one.drives[who].reconnect()
+    one.run(0.4)
+    one.path.submit(there_and_back(1.0), None, one.now_us)
+    one.wait(one.group.motion)
+    assert not [event.text for event in one.events if event.kind == "fault"]
+
+
 def test_a_drive_without_0x1006_is_refused_as_sync_producer():
     """The maker's dictionary: it is asked first, and nothing of it is written."""
     config = DriverConfig(axes=axes(2), sync_producer="joint_2")
