@@ -44,6 +44,8 @@ class AxisSnapshot:
     reserve_ms: float | None = None  # least time before an underflow, since the motion began
     silent_s: float = 0.0  # not heard for so long; 0 as long as it is heard
     identity: Identity | None = None  # None until the drive has been brought up
+    set_points: int | None = None  # taken since the motion began; None: it follows by none
+    path_error_qc: float | None = None  # of what these lead to, from the commanded curve
 
 
 class JointStates(NamedTuple):
@@ -114,6 +116,7 @@ def axis_snapshots(
     in_motion = machine.group.phase in IN_MOTION
     path_ms = machine.path_time.at_ms(now_us) if in_motion else math.inf
     followers = {axis.drive: axis for axis in machine.interpolated.axes}
+    queued = {axis.drive: axis for axis in machine.set_points.axes}
     snapshots = []
     for drive, config in zip(machine.drives, machine.config.axes, strict=True):
         units, known = AxisUnits.of(config), drive.position_qc is not None
@@ -141,6 +144,8 @@ def axis_snapshots(
             clock_drift_ppm=None if clocked is None else 1e6 * float(clock.drift[clocked]),
             executed_qc=drive.demand_qc,
             records_sent=account.sent if account else 0,
+            set_points=queued[drive].count if drive in queued else None,
+            path_error_qc=queued[drive].error_qc if drive in queued else None,
             homed=drive.homed,
             reserve_ms=account.reserve_ms if account else None,
             buffer_flags={}

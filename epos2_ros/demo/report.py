@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +31,8 @@ class Observed:
     buffer_errors: dict[str, str]  # flags in words, only of joints that had one
     sync_count: int
     bus_load: float  # highest during the motion [%]
+    set_points: Mapping[str, int] = field(default_factory=dict)  # taken, of joints that follow so
+    stated_qc: Mapping[str, float] = field(default_factory=dict)  # the error said of them
     events: Mapping[str, Sequence[Event]] = field(default_factory=dict)  # by output
 
 
@@ -39,7 +41,7 @@ class Executed:
     """One drive's own log of its last motion, cycle by cycle; arrays are [cycles]."""
 
     time_us: Array
-    path_ms: NDArray[np.int64]
+    path_ms: NDArray[np.int64 | np.float64]
     demand_qc: Array
     level: NDArray[np.int64]
 
@@ -61,6 +63,16 @@ class Executed:
         rises = np.flatnonzero(np.diff(self.level) > 0)
         return self.level[: rises[-1] + 2 if len(rises) else 1]
 
+    def since(self, start_us: float) -> Executed:
+        """Its path time by another clock."""
+        return replace(self, path_ms=(self.time_us - start_us) / 1000.0)
+
+    @property
+    def per_ms_qc(self) -> float:
+        """The farthest that it moves in a millisecond, by which its drive's clock may be off."""
+        passed_ms = np.maximum(np.diff(self.time_us) / 1000.0, 0.5)
+        return float(np.max(np.abs(np.diff(self.demand_qc)) / passed_ms))
+
     @property
     def start_us(self) -> float:
         """True time of the path's zero, from the first control cycle."""
@@ -76,6 +88,7 @@ class AxisResult:
     records_sent: int
     final_error_qc: float
     buffer_error: str
+    buffered: bool = True  # by records; else by set-points, of which `records_sent` is the number
 
     @property
     def error_qc(self) -> Array:
@@ -130,6 +143,8 @@ class AxisResult:
 
     @property
     def buffer_kept(self) -> bool:
+        if not self.buffered:
+            return True
         low, high = self.levels
         return low >= MIN_LEVEL and high <= MAX_LEVEL and not self.buffer_error
 
@@ -171,11 +186,17 @@ class Report:
     ) -> Report:
         """`joints` are the trajectory's, in the order of its columns."""
         axes = []
+        logs = {s.joint: Executed.load(log, s.node_id) for s in scales if s.joint in joints}
+        buffered = [one for joint, one in logs.items() if joint not in observed.set_points]
         for scale in scales:
             if scale.joint not in joints:
                 continue  # it holds
             column = joints.index(scale.joint)
-            executed = Executed.load(log, scale.node_id)
+            executed, allowed_qc = logs[scale.joint], tolerance_qc
+            if scale.joint in observed.set_points:
+                if buffered:  # whose clocks the path goes by
+                    executed = executed.since(buffered[0].start_us)
+                allowed_qc = observed.stated_qc[scale.joint] + executed.per_ms_qc + 1.0
             between = commanded.between(executed.path_ms / 1000.0)
             bounds_qc = scale.to_qc(np.array([side[:, column] for side in between]))
             target_qc = scale.to_qc(commanded.at(np.array([np.inf]))[0, column])
@@ -187,8 +208,10 @@ class Report:
                     commanded_qc=np.clip(
                         executed.demand_qc, bounds_qc.min(axis=0), bounds_qc.max(axis=0)
                     ),
-                    tolerance_qc=tolerance_qc,
-                    records_sent=observed.records_sent[scale.joint],
+                    tolerance_qc=allowed_qc,
+                    records_sent=observed.set_points.get(scale.joint)
+                    or observed.records_sent.get(scale.joint, 0),
+                    buffered=scale.joint not in observed.set_points,
                     final_error_qc=float(reached_qc - target_qc),
                     buffer_error=observed.buffer_errors.get(scale.joint, ""),
                 )
@@ -197,8 +220,8 @@ class Report:
 
     @property
     def spread_us(self) -> float:
-        starts = [axis.executed.start_us for axis in self.axes]
-        return max(starts) - min(starts)
+        starts = [axis.executed.start_us for axis in self.axes if axis.buffered]
+        return max(starts) - min(starts) if starts else 0.0
 
     @property
     def spread_kept(self) -> bool:
@@ -221,6 +244,11 @@ class Report:
             low, high = axis.levels
             path = terminal.judged(f"{axis.path_error_qc:15.2f}", axis.path_kept)
             buffer = terminal.judged(f"{low:6} … {high:<4}", axis.buffer_kept)
+            if not axis.buffered:
+                path = terminal.judged(
+                    f"{axis.path_error_qc:8.0f} ≤ {axis.tolerance_qc:4.0f}", axis.path_kept
+                )
+                buffer = f"{'set-points':13}"
             final = terminal.judged(f"{axis.final_error_qc:16.2f}", axis.end_kept)
             terminal.line(
                 f"{axis.scale.joint:{width}}  {axis.records_sent:12}  {path}  {buffer}  {final}"
@@ -263,11 +291,12 @@ class Report:
             position.plot(t_s, executed_unit, colour, linewidth=2.5, alpha=0.6, label=scale.joint)
             position.plot(t_s, commanded_unit, "k", linewidth=0.7, linestyle=(0, (4, 3)))
             error.plot(t_s, axis.error_qc, colour, linewidth=0.7)
-            level.plot(t_s, executed.level, colour, linewidth=0.9, drawstyle="steps-post")
+            if axis.buffered:
+                level.plot(t_s, executed.level, colour, linewidth=0.9, drawstyle="steps-post")
         position.plot([], [], "k", linewidth=0.7, linestyle=(0, (4, 3)), label="commanded")
         position.set_ylabel(f"position [{', '.join(sorted({a.scale.unit for a in self.axes}))}]")
         position.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
-        tolerance_qc = self.axes[0].tolerance_qc
+        tolerance_qc = min(axis.tolerance_qc for axis in self.axes)
         for limit in (-tolerance_qc, tolerance_qc):
             error.axhline(limit, color="0.4", linewidth=0.8, linestyle=":")
         error.set_ylabel("executed − commanded [qc]")

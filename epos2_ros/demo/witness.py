@@ -28,6 +28,8 @@ from epos2_ros.motion.trajectory import Trajectory
 TOPICS = 3  # /joint_states, ~/buffer_status, /diagnostics
 ANSWER_TIMEOUT_S = 1.0
 EVENTS_KEPT = 1000  # of an output: they come in bursts
+MOVING = "moving"  # of the group, in /diagnostics
+SENT, STATED = "set-points", "path error of set-points [qc]"  # of a joint there
 QUIET_S = 0.5  # without "ip mode active" a motion counts as over
 
 
@@ -146,6 +148,10 @@ class Witness:
         return Observed(
             records_sent={joint: int(v["records_sent"]) for joint, v in self.buffers.items()},
             positions=dict(self.positions),
+            set_points={joint: int(v[SENT]) for joint, v in self.diagnostics.items() if SENT in v},
+            stated_qc={
+                joint: float(v[STATED]) for joint, v in self.diagnostics.items() if STATED in v
+            },
             buffer_errors=dict(self._buffer_errors),
             sync_count=self._sync_count,
             bus_load=self._bus_load,
@@ -183,5 +189,7 @@ class Witness:
             for status in message.status
         }
         bus = self.diagnostics["bus"]
+        if bus["group"] == MOVING:
+            self._active_at = time.monotonic()
         self._sync_count = int(bus["SYNC count"])
         self._bus_load = max(self._bus_load, float(bus["load [%]"]))

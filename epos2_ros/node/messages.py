@@ -110,6 +110,8 @@ def _drive_of(axis: AxisSnapshot, node: str, channel: str, limits: ClockLimits) 
         "clock offset [us]": _given(axis.clock_offset_us, ".1f"),
         "clock drift [ppm]": _given(axis.clock_drift_ppm, ".2f"),
         "least buffer reserve [ms]": _given(axis.reserve_ms, ".0f"),
+        "set-points": _given(axis.set_points, "d"),
+        "path error of set-points [qc]": _given(axis.path_error_qc, ".1f"),
     }
     who = axis.identity
     identity = (

@@ -61,6 +61,7 @@ STOP_TIMEOUT_US = 5_000_000.0  # for an axis to come to rest after a halt or qui
 HALT_REACTION_US = 100_000.0  # a drive that has not begun to halt by then is quick-stopped
 BRAKING_SYNC_US, FINDING_SYNC_US = 10_000.0, 20_000.0  # instead of the period, if that is longer
 ROUNDING_US = 1.0  # so much later than due, path time has come to it whatever its last digit
+STARTING_US = 1_000.0  # before all drives have started it is not looked more often than this
 WAIT_SAID_US = 500_000.0  # a motion that waits longer than this for its stamp is told of
 
 
@@ -524,9 +525,12 @@ class Group:
         now_us = self._now_us
         if self.phase in (Phase.DISABLED, Phase.STANDING, Phase.FAULT):
             return math.inf
-        if self.phase is Phase.MOVING and self.path_time.start_us is not None:
+        if self.phase in BEGUN and self.path_time.start_us is not None:
             due_ms = min(mode.due_ms() for mode in self.modes)
-            return self.path_time.zero_us(now_us) + 1000 * due_ms + ROUNDING_US
+            due_us = self.path_time.zero_us(now_us) + 1000 * due_ms + ROUNDING_US
+            if self.phase is Phase.MOVING:
+                return due_us
+            return min(max(due_us, now_us + STARTING_US), now_us + RESEND_US / 4)
         if self.phase is Phase.PREPARING and self._handing_over:
             return now_us
         if self.phase is Phase.PREPARING and any(mode.unprepared() for mode in self.modes):
