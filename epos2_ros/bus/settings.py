@@ -19,6 +19,7 @@ ACCELERATION_HEADROOM = 1.25
 """A drive faults at the joint's limit times this and warns halfway there: cubics between rounded
 knots overshoot a commanded curve that runs along its limit. The commanded curve itself is held
 to the limit exactly, before anything is sent."""
+FEEDING_SHARE = 0.12  # of the buffer time, for which a drive has a set-point more than it needs
 ROUNDING_S = STREAM_SEGMENT_MS / 1000
 """What rounding takes comes on top. Knots are whole counts and whole velocity units, and a segment
 of a stream, the shortest there are, lasts this long at most. Within it an axis that creeps has to
@@ -89,10 +90,11 @@ def fit_axis(axis: AxisConfig, config: DriverConfig) -> FitAxis:
     )
 
 
-def set_point_axis(axis: AxisConfig) -> SetPointAxis:
+def set_point_axis(axis: AxisConfig, config: DriverConfig) -> SetPointAxis:
     """What the search for set-points has to keep, in the units that the drive is likely to have.
 
-    READING: without limits of its own an axis has those that its drive can hold.
+    A host that may be late needs longer set-points, as it needs a longer buffer. READING: without
+    limits of its own an axis has those that its drive can hold.
     """
     units = AxisUnits.of(axis)
     velocity, acceleration = axis.max_velocity, axis.max_acceleration
@@ -104,13 +106,22 @@ def set_point_axis(axis: AxisConfig) -> SetPointAxis:
         steepest = ACCELERATION_HEADROOM * abs(units.to_qc_s(acceleration))
     velocity_unit, acceleration_unit, _ = FAMILIES[axis.drive].motion_units(units)
     return SetPointAxis(
-        velocity_unit, acceleration_unit, fastest, steepest, FEEDING_MS, STANDING_MS
+        velocity_unit,
+        acceleration_unit,
+        fastest,
+        steepest,
+        max(FEEDING_MS, round(FEEDING_SHARE * config.buffer_time * 1e3)),
+        STANDING_MS,
     )
 
 
 def machine_of(config: DriverConfig) -> Machine:
     """The protocol of all axes."""
-    return Machine(config, lambda axis: fit_axis(axis, config), set_point_axis)
+    return Machine(
+        config,
+        lambda axis: fit_axis(axis, config),
+        lambda axis: set_point_axis(axis, config),
+    )
 
 
 def clock_master(config: DriverConfig) -> int | None:

@@ -41,7 +41,7 @@ class Executed:
     """One drive's own log of its last motion, cycle by cycle; arrays are [cycles]."""
 
     time_us: Array
-    path_ms: NDArray[np.int64 | np.float64]
+    path_ms: Array
     demand_qc: Array
     level: NDArray[np.int64]
 
@@ -55,7 +55,8 @@ class Executed:
             raise Epos2RosError(f"the simulated drive with node id {node_id} did not move")
         begins = np.flatnonzero(np.diff(path_ms) <= 0) + 1
         last = slice(begins[-1] if len(begins) else 0, None)
-        return cls(time_us[last], path_ms[last], demand_qc[last], level[last])
+        t_ms = path_ms[last].astype(np.float64)
+        return cls(time_us[last], t_ms, demand_qc[last], level[last])
 
     @property
     def fed_levels(self) -> NDArray[np.int64]:
