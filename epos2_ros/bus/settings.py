@@ -7,12 +7,12 @@ import math
 from epos2_ros.bus.epos2 import Epos2Settings
 from epos2_ros.configuration.driver import AxisConfig, DriverConfig
 from epos2_ros.motion.fit import FitAxis
-from epos2_ros.motion.setpoints import SetPointAxis
+from epos2_ros.motion.setpoints import FEEDING_MS, SetPointAxis
 from epos2_ros.motion.units import PROFILE_ACCELERATION_RPM_S, AxisUnits, drive_limits
 from epos2_ros.protocol.families import FAMILIES
 from epos2_ros.protocol.machine import Machine
 from epos2_ros.protocol.pvt.feeder import STREAM_SEGMENT_MS
-from epos2_ros.protocol.setpoints.axis import FEEDING_MS, STANDING_MS
+from epos2_ros.protocol.setpoints.axis import STANDING_MS
 
 VELOCITY_HEADROOM = 1.05
 ACCELERATION_HEADROOM = 1.25

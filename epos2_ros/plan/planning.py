@@ -138,7 +138,7 @@ def make_plan(
         for column, (axis, start_qc) in enumerate(zip(config.axes, starts_qc, strict=True))
     }
     queued = [
-        _Queued(place, set_point_axis(place[0]))
+        _Queued(place, set_point_axis(place[0], config))
         for place in places.values()
         if follows_by(place[0]) == SET_POINTS
     ]

@@ -339,3 +339,18 @@ def test_a_cl3e_may_be_left_to_move_to() -> None:
     made.wait(made.machine.move_to({"joint_2": 0.1}))
     with pytest.raises(TrajectoryError, match="joint 'joint_2' is unknown"):
         made.path.submit(out_and_back(), None, made.now_us)
+
+
+def test_a_stream_is_followed() -> None:
+    """A point every 30 ms, which is due 120 ms later."""
+    made = bench("epos2", "cl3e")
+    for n in range(60):
+        point = np.full((1, 2), 0.3 * math.sin(n / 25))
+        streamed = Trajectory(JOINTS[:2], np.array([0.12]), point)
+        made.path.submit(streamed, None, made.now_us)
+        made.run(0.03)
+    made.wait(made.group.motion)
+    end_qc = round(point[0, 0] * QC_PER_RAD)
+    assert [drive.position_demand for drive in made.drives] == [end_qc, end_qc]
+    assert made.machine.set_points.axes[0].count > 10
+    assert [event.kind for event in made.events] == ["started", "done"]

@@ -25,7 +25,7 @@ from epos2_ros.protocol.modes.follower import Follower
 from epos2_ros.protocol.outbox import Outbox
 from epos2_ros.protocol.path_time import PathTime
 from epos2_ros.protocol.sdo import SdoRead, SdoWrite
-from epos2_ros.protocol.setpoints.axis import STANDING_MS, STREAM_LONGEST_MS, QueuedAxis
+from epos2_ros.protocol.setpoints.axis import STANDING_MS, QueuedAxis
 from epos2_ros.protocol.setpoints.handshake import CHANGE_IMMEDIATELY, NEW_SETPOINT
 
 ARRIVAL_MARGIN_MS = 1_000.0  # after the last set-point should be reached
@@ -184,7 +184,8 @@ class SetPoints(Follower):
 
     @property
     def stream_take_over_ms(self) -> float:
-        return REACTION_MS + 2 * STREAM_LONGEST_MS + STANDING_MS
+        longest_ms = max(axis.stream_longest_ms for axis in self.axes)
+        return REACTION_MS + 2 * longest_ms + STANDING_MS
 
     @property
     def ending(self) -> bool:

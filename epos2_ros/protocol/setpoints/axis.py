@@ -27,9 +27,8 @@ from epos2_ros.protocol.setpoints.handshake import (
     Step,
 )
 
-FEEDING_MS = 60  # a host needs at most so long from a set-point's begin until the next is queued
 STANDING_MS = 10.0  # set-points from rest begin at multiples of this
-STREAM_LONGEST_MS = 100  # of set-points of a stream, whose points are a moment ahead
+STREAM_LONGEST = 1.5  # times what feeding takes: a stream's points are only a moment ahead
 LATE_MS = 20.0  # by so much at most one from rest may begin late
 _UNHEARD_MS = 5.0  # after its set-point should have begun a drive has said that there is room
 _RELOCATED_MS = 0.2  # of being late: less is not worth choosing anew for
@@ -118,7 +117,12 @@ class QueuedAxis:
 
     def _longest(self, reference: Reference) -> int:
         streamed = isinstance(reference.motions[-1], Stream)
-        return STREAM_LONGEST_MS if streamed else self._longest_ms
+        return self.stream_longest_ms if streamed else self._longest_ms
+
+    @property
+    def stream_longest_ms(self) -> int:
+        """Of set-points of a stream."""
+        return round(STREAM_LONGEST * self._limits.feeding_ms)
 
     @property
     def committed_ms(self) -> float:
