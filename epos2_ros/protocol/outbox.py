@@ -17,8 +17,9 @@ from epos2_ros.protocol.sdo import SdoRead, SdoWrite
 class Event(NamedTuple):
     """Something a user wants to read in the log."""
 
-    # "waiting", "started", "replaced", "done", "cancelled", "stopped" (on request, off the path),
-    # "aborted", "fault", "warning", "debug" or "drive" (who it is)
+    # "waiting", "started", "replaced", "done", "followed" (how near, by set-points), "cancelled",
+    # "stopped" (on request, off the path), "aborted", "fault", "warning", "debug" or "drive" (who
+    # it is)
     kind: str
     text: str
 

@@ -104,10 +104,10 @@ def test_the_examples(name: str) -> None:
     made.path.submit(trajectory, None, made.now_us)
     made.wait(made.group.motion)
     assert made.group.phase is Phase.STANDING
-    assert [event.text for event in made.events] == [
-        "6 axes started on one SYNC",
-        "all axes have arrived",
-    ]
+    started, followed, done = (event.text for event in made.events)
+    assert (started, done) == ("6 axes started on one SYNC", "all axes have arrived")
+    for axis in made.machine.set_points.axes:
+        assert f"{axis} {axis.error_qc:.0f} counts" in followed
     assert_on_path(made, trajectory)
     assert_passes(made)
 
@@ -353,4 +353,4 @@ def test_a_stream_is_followed() -> None:
     end_qc = round(point[0, 0] * QC_PER_RAD)
     assert [drive.position_demand for drive in made.drives] == [end_qc, end_qc]
     assert made.machine.set_points.axes[0].count > 10
-    assert [event.kind for event in made.events] == ["started", "done"]
+    assert [event.kind for event in made.events] == ["started", "followed", "done"]

@@ -127,4 +127,7 @@ class Mode(ABC):
         return ""
 
     def on_echo(self, drive: Drive, data: bytes, t_us: float) -> None:  # noqa: B027
-        """A frame of this mode's own (RPDO1) to a drive was on the bus."""
+        """A frame of this mode's own (RPDO1, RPDO3) to a drive was on the bus."""
+
+    def on_controlword(self, drive: Drive, data: bytes, t_us: float) -> None:  # noqa: B027
+        """An asynchronous controlword to a drive was on the bus."""

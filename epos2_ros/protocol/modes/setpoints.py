@@ -135,7 +135,7 @@ class SetPoints(Follower):
     def started(self, start_us: float) -> None:
         for axis in self.axes:
             self._left.add(axis.drive)
-            axis.started(start_us)
+            axis.started(start_us, self._path_time.late_us / 1000)
 
     def unconfirmed(self) -> Sequence[Drive]:
         return [axis.drive for axis in self.axes if not axis.has_started]
@@ -170,6 +170,8 @@ class SetPoints(Follower):
 
     def finish(self) -> None:
         self._left.clear()
+        text = ", ".join(f"{axis} {axis.error_qc:.0f} counts" for axis in self.axes)
+        self._out.announce("followed", f"set-points led at most so far beside the path: {text}")
 
     # ------------------------------------------------------------------ what they follow
 
@@ -220,3 +222,8 @@ class SetPoints(Follower):
 
     def on_echo(self, drive: Drive, data: bytes, t_us: float) -> None:
         self._axis_of[drive].handshake.on_echo(data)
+
+    def on_controlword(self, drive: Drive, data: bytes, t_us: float) -> None:
+        path_ms = self._path_time.at_ms(t_us)
+        if path_ms is not None and int.from_bytes(data, "little") & NEW_SETPOINT:
+            self._axis_of[drive].on_new_set_point(path_ms)

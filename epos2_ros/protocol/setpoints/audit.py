@@ -54,14 +54,15 @@ class Audit:
         self._unanswered = 0
         self._sync_ms = 0.0, 0.0  # path time of the last SYNC, from and to
 
-    def begin(self, path_ms: float, late_ms: float = 0.0, again: bool = False) -> None:
-        """It leaves from rest at this path time, so much after its plan; `again`: or has before."""
+    def begin(self, path_ms: float, least_ms: float, most_ms: float) -> None:
+        """It leaves from rest at this path time, so much after its plan."""
         self._standing_qc = None
-        if again:
-            self._most_ms = late_ms + START_MS
-            return
-        self._least_ms, self._most_ms = late_ms - START_MS, late_ms + START_MS
-        self.late_ms, self._judged_ms = late_ms, path_ms
+        self._least_ms, self._most_ms = least_ms - START_MS, most_ms + START_MS
+        self.late_ms, self._judged_ms = most_ms, path_ms
+
+    def may_begin(self, late_ms: float) -> None:
+        """If it has not left before, it leaves so late."""
+        self._most_ms = max(self._most_ms, late_ms + START_MS)
 
     def add(
         self, set_point: SetPoint, velocity_unit_qc_s: float, acceleration_unit_qc_s2: float

@@ -31,6 +31,7 @@ STANDING_MS = 10.0  # set-points from rest begin at multiples of this
 STREAM_LONGEST = 1.5  # times what feeding takes: a stream's points are only a moment ahead
 LATE_MS = 20.0  # by so much at most one from rest may begin late
 _UNHEARD_MS = 5.0  # after its set-point should have begun a drive has said that there is room
+_SOON_MS, _STEP_MS = 100.0, 5.0  # how far ahead, beside, it is looked for motion, and how closely
 _RELOCATED_MS = 0.2  # of being late: less is not worth choosing anew for
 
 
@@ -146,7 +147,9 @@ class QueuedAxis:
 
         The latter takes the place of whatever it was doing when it was halted.
         """
-        first = self._fitter.next()
+        first = None
+        if not self._goes_on_standing(0.0, self.standing_qc):
+            first = self._fitter.next()
         if first is not None and first.begin_ms > 0:
             first, self._next = None, first
         if first is None:
@@ -168,10 +171,10 @@ class QueuedAxis:
         """Whether `prepare` was called."""
         return self._given is not None
 
-    def started(self, now_us: float) -> None:
-        """The start SYNC was on the bus."""
+    def started(self, now_us: float, seen_late_ms: float) -> None:
+        """The start SYNC was on the bus, and may have been seen so late."""
         self.handshake.raised(now_us)
-        self.audit.begin(0.0)
+        self.audit.begin(0.0, -seen_late_ms, 0.0)
 
     @property
     def has_started(self) -> bool:
@@ -183,12 +186,12 @@ class QueuedAxis:
     def advance(self, path_ms: float, now_us: float) -> Sequence[Frame]:
         """What the drive is told now."""
         handshake = self.handshake
-        before = handshake.step
+        offered = handshake.step is Step.OFFERED
         frames = list(handshake.advance(now_us))
-        if frames and handshake.step is Step.RAISED and not self._queued:
+        if offered and handshake.step is Step.RAISED and not self._queued:
             assert self._given is not None
             late_ms = path_ms - self._given.begin_ms
-            self.audit.begin(path_ms, late_ms, again=before is Step.RAISED)
+            self.audit.begin(path_ms, late_ms, late_ms)
         if self._room_unheard(path_ms) and now_us >= self._asked_us + RESEND_US:
             frames += handshake.lower(now_us)
         if handshake.step is not Step.FREE or self._taken is None:
@@ -214,12 +217,26 @@ class QueuedAxis:
     def _choose(self, path_ms: float) -> None:
         reference, taken = self._reference, self._taken
         assert reference is not None and taken is not None
+        self._look_ms = path_ms + STANDING_MS
+        if not taken.passes and self._goes_on_standing(path_ms, taken.target_qc):
+            return
         late_ms = self.audit.late_ms if taken.passes else 0.0
         if abs(late_ms - self._used_ms) > _RELOCATED_MS or (self._used_ms and not taken.passes):
             self._used_ms = late_ms
             self._fitter.replace(_Late(reference, late_ms))
         self._next = self._fitter.next(path_ms - self._used_ms)
-        self._look_ms = path_ms + STANDING_MS
+
+    def _goes_on_standing(self, path_ms: float, at_qc: int) -> bool:
+        """Whether nothing is to be chosen yet for an axis that stands, or will: what is not chosen
+        another reference may still take the place of."""
+        reference = self._reference
+        assert reference is not None
+        if path_ms >= reference.end_ms:
+            return False
+        until_ms = path_ms + self._limits.feeding_ms + _SOON_MS
+        k = np.arange(math.floor(path_ms), until_ms, _STEP_MS).astype(np.int64)
+        positions = reference.positions(k)[:, self._fitter.column]
+        return bool(np.abs(positions - at_qc).max() < 0.5)
 
     def _give(self, set_point: SetPoint) -> None:
         drive = self.drive
@@ -291,6 +308,11 @@ class QueuedAxis:
         return 0.0 if self._taken is None else self._taken.end_ms + self.audit.late_ms
 
     # ------------------------------------------------------------------ what was on the bus
+
+    def on_new_set_point(self, path_ms: float) -> None:
+        """A controlword with bit 4 was on the bus: from rest the drive leaves now at the latest."""
+        if self._given is not None and not self._queued:
+            self.audit.may_begin(path_ms - self._given.begin_ms)
 
     def on_statusword(self, now_us: float) -> Sequence[Frame]:
         """The drive has told its statusword."""
