@@ -150,8 +150,6 @@ class Group:
             self.time.on_stamp(self._clocked[drive])
         elif function == epos2.RPDO3:
             self._rest[drive].on_echo(drive, frame.data, t_us)
-        elif function == epos2.RPDO4:
-            self._mode_of(drive).on_controlword(drive, frame.data, t_us)
         elif function == epos2.SDO_REQUEST and frame.data == epos2.CLOCK_AT_SYNC.request:
             drive.asked_clock = True
             if drive in self._clocked:

@@ -40,6 +40,8 @@ from epos2_ros.protocol.pvt.path_audit import patience_syncs
 from epos2_ros.protocol.setpoints.axis import QueuedAxis
 from epos2_ros.protocol.timekeeper import Timekeeper
 
+SYNC_SEEN_US = 20_000.0
+
 
 class Machine:
     """`fit_of(axis)`, `set_points_of(axis)`: what the search for records, or for set-points, keeps
@@ -80,9 +82,7 @@ class Machine:
                 patience = patience_syncs(period_us)
                 queued.append(QueuedAxis(drive, set_points_of(axis), column, patience))
         self.interpolated = self._interpolated(records, columns)
-        self.set_points = SetPoints(
-            queued, self.path_time, lambda: self.time.seen_late_us, self.out
-        )
+        self.set_points = SetPoints(queued, self.path_time, self._sync_within_us, self.out)
         self.followers = Followers(
             (self.interpolated, self.set_points), [by_joint[axis.joint] for axis in following]
         )
@@ -114,6 +114,17 @@ class Machine:
         feeder = Feeder(axes, columns, buffer_time_ms, stream_ahead_ms, tolerance, smoothness)
         reads = BufferReads(axes)
         return Interpolated(axes, feeder, reads, self.path_time, self.out)
+
+    def _sync_within_us(self) -> tuple[float, float]:
+        """How long before and after it was seen the last SYNC may have been on the bus.
+
+        Where an adapter gives no frames back it is not seen, but was handed over then; who has
+        answered it has heard it. READING: the SYNC of a drive is seen within SYNC_SEEN_US.
+        """
+        late_us = self.time.seen_late_us
+        if math.isfinite(late_us):
+            return late_us, 0.0
+        return (0.0, math.inf) if self.time.produces else (SYNC_SEEN_US, 0.0)
 
     # ------------------------------------------------------------------ frames and time
 

@@ -59,7 +59,7 @@ def no_audit(monkeypatch):
 
 
 def no_look_at_set_points(monkeypatch):
-    monkeypatch.setattr(set_point_audit.Audit, "on_sync", lambda self, path_ms, late_ms: "")
+    monkeypatch.setattr(set_point_audit.Audit, "on_sync", lambda self, within_ms: "")
     monkeypatch.setattr(set_point_axis.QueuedAxis, "_deadline_ms", math.inf)
 
 

@@ -128,6 +128,3 @@ class Mode(ABC):
 
     def on_echo(self, drive: Drive, data: bytes, t_us: float) -> None:  # noqa: B027
         """A frame of this mode's own (RPDO1, RPDO3) to a drive was on the bus."""
-
-    def on_controlword(self, drive: Drive, data: bytes, t_us: float) -> None:  # noqa: B027
-        """An asynchronous controlword to a drive was on the bus."""

@@ -37,8 +37,8 @@ _DISPLAY = SdoRead(epos2.MODES_OF_OPERATION_DISPLAY, 0, 1, signed=True)
 
 
 class SetPoints(Follower):
-    """All `axes` follow one reference. `seen_late_us` tells by how much the last SYNC may have been
-    seen too late."""
+    """All `axes` follow one reference. `sync_within_us` tells how long before and after it was seen
+    the last SYNC may have been."""
 
     operation = 1
     words = "profile position mode, following"
@@ -51,14 +51,14 @@ class SetPoints(Follower):
         self,
         axes: Sequence[QueuedAxis],
         path_time: PathTime,
-        seen_late_us: Callable[[], float],
+        sync_within_us: Callable[[], tuple[float, float]],
         out: Outbox,
     ) -> None:
         super().__init__([axis.drive for axis in axes], out)
         self.axes = tuple(axes)
         self._axis_of = {axis.drive: axis for axis in axes}
         self._path_time = path_time
-        self._seen_late_us = seen_late_us
+        self._sync_within_us = sync_within_us
         self._planned: Reference | None = None
         self._refused = ""
         self._left: set[Drive] = set()  # whose set-points may not all have been executed
@@ -203,27 +203,24 @@ class SetPoints(Follower):
         if (epos2.STATUSWORD, 0) in reported:
             if axis.handshake.acknowledged:
                 self._left.add(drive)
-            self._out.frames.extend(axis.on_statusword(t_us))
+            self._out.frames.extend(axis.on_statusword(t_us, self._path_time.at_ms(t_us)))
         if (epos2.POSITION_DEMAND, 0) in reported and drive.demand_qc is not None:
-            return axis.audit.on_demand(drive.demand_qc)
+            return axis.audit.on_demand(drive.demand_qc, self._path_time.at_ms(t_us))
         return ""
 
     def on_answer(self, drive: Drive, data: bytes, t_us: float) -> str:
         statusword = _STATUSWORD.answered(data)
         if statusword is not None:
             drive.report(statusword, t_us)
-            self._out.frames.extend(self._axis_of[drive].on_statusword(t_us))
+            path_ms = self._path_time.at_ms(t_us)
+            self._out.frames.extend(self._axis_of[drive].on_statusword(t_us, path_ms))
         return ""
 
     def on_sync(self, drive: Drive, t_us: float, starts: bool) -> str:
-        late_us = 0.0 if starts else self._seen_late_us()
-        late_ms = late_us / 1000 if math.isfinite(late_us) else 0.0
-        return self._axis_of[drive].audit.on_sync(self._path_time.at_ms(t_us), late_ms)
+        before_us, after_us = (0.0, 0.0) if starts else self._sync_within_us()
+        at_ms = self._path_time.at_ms(t_us)
+        within_ms = None if at_ms is None else (at_ms - before_us / 1000, at_ms + after_us / 1000)
+        return self._axis_of[drive].audit.on_sync(within_ms)
 
     def on_echo(self, drive: Drive, data: bytes, t_us: float) -> None:
         self._axis_of[drive].handshake.on_echo(data)
-
-    def on_controlword(self, drive: Drive, data: bytes, t_us: float) -> None:
-        path_ms = self._path_time.at_ms(t_us)
-        if path_ms is not None and int.from_bytes(data, "little") & NEW_SETPOINT:
-            self._axis_of[drive].on_new_set_point(path_ms)

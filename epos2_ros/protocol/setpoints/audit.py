@@ -13,7 +13,8 @@ was lost, altered or not executed as it was told.
 So nothing accumulates: how late the drive is is known from every answer at speed, and the next
 set-point is chosen for where the commanded curve will be by then.
 
-When a SYNC was is known between when it was handed over and when the host saw it. A SYNC without an
+When a SYNC was is known between when it was handed over and when the host saw it, or the answer. A
+SYNC without an
 answer may be the one that the next answer belongs to; after one such answer is let pass.
 """
 
@@ -60,8 +61,8 @@ class Audit:
         self._least_ms, self._most_ms = least_ms - START_MS, most_ms + START_MS
         self.late_ms, self._judged_ms = most_ms, path_ms
 
-    def may_begin(self, late_ms: float) -> None:
-        """If it has not left before, it leaves so late."""
+    def has_begun(self, late_ms: float) -> None:
+        """It has told that it has left: no later than so much after its plan."""
         self._most_ms = max(self._most_ms, late_ms + START_MS)
 
     def add(
@@ -75,18 +76,20 @@ class Audit:
         self._begins.append((set_point.begin_ms, unsure_ms))
         return self.path.add(set_point, velocity_unit_qc_s, acceleration_unit_qc_s2)
 
-    def on_sync(self, path_ms: float | None, seen_late_ms: float) -> str:
-        """A SYNC was on the bus, seen at this path time; what is wrong, or ""."""
-        if path_ms is not None:
-            self._sync_ms = path_ms - seen_late_ms, path_ms
+    def on_sync(self, within_ms: tuple[float, float] | None) -> str:
+        """A SYNC was on the bus, from and to when on the path; what is wrong, or ""."""
+        if within_ms is not None:
+            self._sync_ms = within_ms
         self._unanswered += 1
         if self._unanswered <= self._patience:
             return ""
         return f"{self._patience} SYNCs in a row without its position demand"
 
-    def on_demand(self, demand_qc: int) -> str:
-        """The position demand at the last SYNC; what is wrong with it, or ""."""
+    def on_demand(self, demand_qc: int, path_ms: float | None) -> str:
+        """The position demand at the last SYNC, told at this path time; what is wrong, or ""."""
         answers_last = self._unanswered == 1
+        if path_ms is not None:
+            self._sync_ms = self._sync_ms[0], max(min(self._sync_ms[1], path_ms), self._sync_ms[0])
         if self._standing_qc is not None:
             off_qc = demand_qc - self._standing_qc
             if abs(off_qc) > ROUNDING_QC and answers_last:

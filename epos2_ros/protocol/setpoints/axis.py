@@ -309,16 +309,13 @@ class QueuedAxis:
 
     # ------------------------------------------------------------------ what was on the bus
 
-    def on_new_set_point(self, path_ms: float) -> None:
-        """A controlword with bit 4 was on the bus: from rest the drive leaves now at the latest."""
-        if self._given is not None and not self._queued:
-            self.audit.may_begin(path_ms - self._given.begin_ms)
-
-    def on_statusword(self, now_us: float) -> Sequence[Frame]:
+    def on_statusword(self, now_us: float, path_ms: float | None) -> Sequence[Frame]:
         """The drive has told its statusword."""
         before = self.handshake.step
         frames = self.handshake.on_statusword(now_us)
         if before is Step.RAISED and self.handshake.step is Step.TAKEN:
+            if path_ms is not None and self._given is not None and not self._queued:
+                self.audit.has_begun(path_ms - self._given.begin_ms)
             self._taken, self._brakes_ms = self._given, self._given_brakes_ms
             self.count += 1
             self._asked_us = -math.inf
