@@ -13,9 +13,9 @@ was lost, altered or not executed as it was told.
 So nothing accumulates: how late the drive is is known from every answer at speed, and the next
 set-point is chosen for where the commanded curve will be by then.
 
-When a SYNC was is known between when it was handed over and when the host saw it, or the answer. A
-SYNC without an
-answer may be the one that the next answer belongs to; after one such answer is let pass.
+When a SYNC was is known between when it was handed over and when the host saw it, or the answer.
+One without an answer may be the one that the next answer belongs to: after it one that misfits is
+let pass.
 """
 
 from __future__ import annotations
