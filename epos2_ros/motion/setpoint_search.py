@@ -451,7 +451,7 @@ def _go_on(ahead: _Ahead, node: int, now: int, end: int, turns: Vector, count: i
     if v == 0.0:
         sync = floor((now + max(float(t), ready - 1e-6)) / aims.sync) + 1
         _wait(ahead, node, int(floor(sync * aims.sync + 0.5)) - now, WAITING)
-        if t < ready:
+        if t < ready and now + t > 0:  # the first is in the drive before the start
             return
     else:
         speed, steepest = abs(v) * aims.velocity_unit, aims.steepest * aims.rate_unit
@@ -570,9 +570,9 @@ def horizon_ms(longest_ms: int) -> int:
     return (HORIZON + 3) * longest_ms
 
 
-def state_at_rest(position_qc: float) -> Vector:
-    """A state at path time 0, from which the SYNC at that time can start a set-point."""
-    return vector((0.0, position_qc, 0.0, 0.0))
+def state_at_rest(position_qc: float, feeding_ms: float) -> Vector:
+    """A state at path time 0: a set-point begins then, or as late as one that is told then can."""
+    return vector((0.0, position_qc, 0.0, feeding_ms))
 
 
 def no_plan() -> Vector:
@@ -584,5 +584,5 @@ def prepare() -> None:
     """Compile this module, or load what an earlier run has compiled, before time matters."""
     aims, plan = vector((1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 32.0)), no_plan()
     still = vector([0.0] * horizon_ms(32))
-    find(still, 0, aims, state_at_rest(0.0), plan)
+    find(still, 0, aims, state_at_rest(0.0, 1.0), plan)
     astray(still, 0, 0.0, 0.0, aims, vector([1.0] * len(plan)))

@@ -87,7 +87,7 @@ class SetPointFitter:
         self.ended = False
         """Whether `next` has found that there is no further set-point."""
         self._reference: Reference | None = None
-        self._state = search.state_at_rest(0.0)
+        self._state = search.state_at_rest(0.0, axis.feeding_ms)
         self._plan = search.no_plan()
         self._samples: NDArray[np.float64] = np.empty(0)  # commanded positions [qc]
         self._first_ms = 0  # where they begin
@@ -95,7 +95,8 @@ class SetPointFitter:
 
     def begin(self, reference: Reference, position_qc: int) -> None:
         """A new motion from rest at `position_qc`; path time 0 is its start SYNC."""
-        self._state, self._plan = search.state_at_rest(float(position_qc)), search.no_plan()
+        self._state = search.state_at_rest(float(position_qc), self.axis.feeding_ms)
+        self._plan = search.no_plan()
         self.due_ms, self.error_qc, self.ended = -inf, 0.0, False
         self.replace(reference)
 

@@ -63,6 +63,8 @@ def check(
     assert np.abs(made.velocity_qc_ms).max() <= axis.max_velocity_qc_s * 1e-3 + 1e-9
     bends_qc_s2 = np.abs(np.diff(made.velocity_qc_ms)) * 1e6
     assert bends_qc_s2.max(initial=0.0) <= axis.max_acceleration_qc_s2 + 1e-3
+    if points and points[0].begin_ms > 0:  # the drive stood at the start, and was told this then
+        assert points[0].begin_ms >= FEEDING_MS
     for point in points:
         assert all(type(x) is int for x in point[:6])
         assert min(point.velocity, point.acceleration, point.deceleration) >= 1
