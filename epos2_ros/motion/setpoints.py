@@ -36,8 +36,9 @@ from epos2_ros.motion import setpoint_search as search
 from epos2_ros.motion.fit import Reference
 from epos2_ros.motion.pvt import Executed
 
-FEEDING_MS = 60
-"""A host needs at most so long from a set-point's begin until the next one is queued."""
+FEEDING_MS = 70
+"""A host needs at most so long from a set-point's begin until the next one is queued, also where it
+hears of the first only because it asks."""
 
 
 LONGEST_MS = 400

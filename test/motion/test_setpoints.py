@@ -22,7 +22,7 @@ from epos2_ros.motion.trajectory import Trajectory
 from epos2_ros.motion.units import AxisUnits
 
 RPM = 2000 / 60  # of an axis with 2000 counts per turn [qc/s], [qc/s²]
-FEEDING_MS = 60
+FEEDING_MS = 70
 SYNC_MS = 20.0
 
 
@@ -129,7 +129,8 @@ def test_any_motion_is_made_as_it_was_said(
                     )
                 fitter.replace(reference.trimmed(at_ms))
     until = until_ms(reference, points)
-    made = drive_executes(start_qc, points, axis, lambda: handshakes.randint(2, 58), until)
+    late = FEEDING_MS - 2
+    made = drive_executes(start_qc, points, axis, lambda: handshakes.randint(2, late), until)
     check(points, made, reference, 0, axis, fitter.error_qc)
 
 
