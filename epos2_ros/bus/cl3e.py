@@ -101,8 +101,8 @@ class Cl3eNode:
     def _write_objects(self) -> None:
         s, write = self.settings, self._objects.write
         self._check_units()
+        self._access.watch_host()  # first: by it a drive that restarts later is known
         self.units = self._set_units()
-        self._access.watch_host()
         write(epos2.MODES_OF_OPERATION, cl3e.MODE_PROFILE_POSITION)
         unit = self.units[1]
         most, stop = (
