@@ -190,7 +190,7 @@ def test_a_drive_that_loses_little_is_corrected_less_often():
     assert np.ptp(clocks(made)) <= 10
 
 
-@pytest.mark.parametrize("jump_us", [60.0, 400.0, 3_000.0])
+@pytest.mark.parametrize("jump_us", [60.0, 3_000.0])
 def test_a_clock_that_jumps_takes_no_other_along(jump_us):
     """It tells when a SYNC was, in its turn; what it says is compared with the host and others."""
     made = Bench(drives=drives(6, record=False))

@@ -203,10 +203,10 @@ def test_a_drive_that_always_answers_late_is_told(late_us):
     assert at_s < 2.0 + 0.9
 
 
-@pytest.mark.parametrize("segment_ms", [20, 30, 45, 83])
+@pytest.mark.parametrize("segment_ms", [30, 83])
 def test_a_drive_that_stands_for_long_at_its_end_is_not_complained_of(segment_ms):
     """However many segments are remembered then."""
-    for count in range(60, 150):
+    for count in range(60, 150, 3):
         sent = [Record(100 * n, 0, segment_ms) for n in range(1, count + 1)]
         audit, truth = PathAudit(UNIT_QC_S, 1.0, 100e3), Executed(0, sent)
         audit.rest(0)
