@@ -484,8 +484,9 @@ def find(positions: Vector, end: int, given: Vector, state: Vector, plan: Vector
     """Put what is to come into `plan` and the state at the end of its first set-point into `state`.
 
     NEXT: there is one. WAITS: it is best to stand for longer than it takes to ask again. ENDED:
-    there is none any more, the drive stands where the curve ends. `positions` begin at the state's
-    time, and `end` counts from there; the curve rests from then on. `plan` is the last call's.
+    there is none any more, the drive stands where the curve ends, within a count. `positions` begin
+    at the state's time, and `end` counts from there; the curve rests from then on. `plan` is the
+    last call's.
     """
     aims = Aims(given[0], given[1], given[2], given[3], given[4], given[5], given[6])
     now = int(state[0])
@@ -520,6 +521,8 @@ def find(positions: Vector, end: int, given: Vector, state: Vector, plan: Vector
         if keys[node] < least:
             best, least = node, keys[node]
     ended = nodes[best * NODE + 1] == rest and end <= len(positions)
+    if state[2] == 0.0 and end <= 0:  # to wait for it to be worth the last count would never end
+        ended = ended or abs(state[1] - _commanded(positions, 0)) <= 1.0
     known, chosen, at = 0, -1, best
     while at != first:
         if nodes[at * NODE + _FOUND] >= 0.0:

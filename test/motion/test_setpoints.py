@@ -141,6 +141,18 @@ def test_an_axis_that_does_not_move_gets_no_set_point() -> None:
     assert fitter.error_qc <= 0.5
 
 
+@pytest.mark.parametrize("beside", [-1.0, -0.6, -0.51, 0.0, 0.49, 0.55, 0.9])
+def test_an_axis_that_stands_within_a_count_of_the_end_is_at_its_end(beside: float) -> None:
+    """Whether the last count is worth a set-point or not: the motion ends, and soon."""
+    fitter = SetPointFitter(axis_of(1e5, 1e6), 0)
+    units = [AxisUnits.of(axes_of(("a",))[0])]
+    fitter.begin(Reference.at_rest(units, [units[0].from_qc(7592 + beside)]), 7592)
+    for path_ms in range(0, 400, 4):
+        fitter.next(path_ms)
+    assert fitter.ended
+    assert fitter.error_qc <= 1.0
+
+
 def test_a_rest_in_between_is_stood_through_and_left_on_a_sync() -> None:
     """It is not known long before that the axis will move on: so much is not committed."""
     trajectory = Trajectory(
