@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from typing import Any
 
 from simulated_time import Bench
@@ -95,8 +96,11 @@ class StageOutputs:
                 self.outputs.answered(job, *answer)
         for waiting in [waiting for waiting in self._arm_when if waiting[1]()]:
             self._arm_when.remove(waiting)
+            lost = bench.lost()
             for place in waiting[0]:
-                self.arm(place)
+                if place not in lost:
+                    with suppress(DriveError):  # what `Driver.home` answers with
+                        self.arm(place)
 
     # ------------------------------------------------------------------ what is asked of them
 
