@@ -518,6 +518,10 @@ def find(positions: Vector, end: int, given: Vector, state: Vector, plan: Vector
         _go_on(ahead, node, now, end, turns, count)
     for kind in range(CLASSES):
         node = (slots - 1) * CLASSES + kind
+        at = node * NODE
+        beside = nodes[at + 2] == 0.0 and nodes[at + 1] != rest and nodes[at] >= end
+        if beside and best >= 0:
+            continue  # a count beside its end a drive would stand for ever
         if keys[node] < least:
             best, least = node, keys[node]
     ended = nodes[best * NODE + 1] == rest and end <= len(positions)

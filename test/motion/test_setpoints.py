@@ -153,6 +153,14 @@ def test_an_axis_that_stands_within_a_count_of_the_end_is_at_its_end(beside: flo
     assert fitter.error_qc <= 1.0
 
 
+def test_an_axis_that_stands_a_count_beside_its_end_still_goes_there() -> None:
+    fitter = SetPointFitter(axis_of(1e5, 1e6), 0)
+    fitter.begin(Reference.at_rest([AxisUnits.of(axes_of(("a",))[0])], [10 / 31_830.99]), 9)
+    points = [fitter.next(fitter.due_ms) for _ in range(10)]
+    assert fitter.ended
+    assert [point.target_qc for point in points if point is not None][-1:] == [10]
+
+
 def test_a_rest_in_between_is_stood_through_and_left_on_a_sync() -> None:
     """It is not known long before that the axis will move on: so much is not committed."""
     trajectory = Trajectory(
