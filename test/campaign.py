@@ -78,7 +78,7 @@ BLAMED = {  # what may be said of an axis, and what has to have happened to it
     "come late": ("late SDO", "no SDO", "silent", "other host"),
     "NMT operational": ("power", "other host"),
     "was not read": ("late SDO", "no SDO", "silent", "power"),
-    "was lost, repeated": ("clock",),
+    "was lost, repeated": ("clock", "silent"),  # what is sent to a drive that is cut off is lost
     "no answer to SYNC": ("late SDO", "no SDO", "silent", "power", "other host"),
 }
 KNOWN = (Phase.DISABLED, Phase.STANDING, Phase.FAULT)
