@@ -29,7 +29,7 @@ from epos2_ros.protocol import cia402, epos2
 from epos2_ros.protocol.cia402 import State
 from epos2_ros.protocol.drive import Drive, names
 from epos2_ros.protocol.frame import Frame
-from epos2_ros.protocol.intake import NMT_START
+from epos2_ros.protocol.intake import NMT_PRE_OPERATIONAL, NMT_START
 from epos2_ros.protocol.modes.mode import Mode
 from epos2_ros.protocol.outbox import Outbox
 from epos2_ros.protocol.path_time import PathTime
@@ -130,6 +130,8 @@ class Group:
         elif frame.can_id == epos2.NMT:
             if not echo and len(frame.data) == 2:
                 self._on_nmt(*frame.data)
+            elif echo and frame.data[0] == NMT_PRE_OPERATIONAL:
+                self._watch.taken_in_hand(frame.data[1])
         elif drive := self._by_node.get(frame.can_id & 0x7F):
             if echo:
                 self._on_echo(drive, frame, t_us)

@@ -22,6 +22,7 @@ TOGGLE_BIT = 0x80  # in an answer to node guarding, which has the same COB-ID
 SDO_RESPONSE = 0x580
 _EIGHT_BYTES = {epos2.EMCY: "emergency", SDO_RESPONSE: "SDO response"}
 NMT_START = 0x01
+NMT_PRE_OPERATIONAL = 0x80
 _FUNCTION, _NODE = 0x780, 0x7F
 
 

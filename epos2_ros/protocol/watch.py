@@ -32,6 +32,7 @@ class Watch:
         self._clocked = {drive: index for index, drive in enumerate(time.drives)}
         self._unheard: set[Drive] = set()  # were silent, and not brought up since
         self._lost: set[Drive] = set()  # to be brought up anew
+        self._in_hand: set[Drive] = set()  # the host itself has taken them out of NMT operational
 
     # ------------------------------------------------------------------ what was on the bus
 
@@ -56,11 +57,17 @@ class Watch:
         if data == BOOT_UP:  # its configuration is gone
             drive.restarted = True
             return True
-        if data[0] & ~TOGGLE_BIT == OPERATIONAL[0]:
+        if data[0] & ~TOGGLE_BIT == OPERATIONAL[0] or drive in self._in_hand:
             drive.not_operational = 0
             return False
         drive.not_operational += 1
         return _not_operational(drive)
+
+    def taken_in_hand(self, node_id: int) -> None:
+        """The host has told this one to be pre-operational, to bring it up anew."""
+        taken = {drive for drive in self._drives if drive.node_id == node_id}
+        self._in_hand |= taken
+        self._lost |= taken
 
     def on_nmt(self, command: int, node_id: int) -> bool:
         """Another master's: what it stops does not listen to us any more. Whether it was any."""
@@ -86,6 +93,7 @@ class Watch:
         """Nothing of before counts any more."""
         drive.restarted, drive.not_operational, drive.unanswered = False, 0, 0
         self._lost.discard(drive)
+        self._in_hand.discard(drive)
         self._unheard.discard(drive)
 
     def lost(self) -> list[Drive]:

@@ -28,6 +28,7 @@ from campaign import (
     _move_to,
     _shaft_qc,
     _simulated_clock,
+    play,
 )
 
 from epos2_ros.errors import DriveError, Epos2RosError
@@ -284,6 +285,26 @@ def test_the_first_reset_does_where_nothing_but_a_fault_is_in_the_way(family: st
             assert stage.group.phase is Phase.FAULT
             _expect(stage, "reset_fault", stage.reset_fault())
             _expect(stage, "enable", stage.group.enable())
+
+
+def test_nobody_else_is_suspected_of_what_the_driver_does_itself() -> None:
+    """A bring-up takes a drive out of NMT operational; here for long, as its answers are late, and
+    asked for while the axes are still halting."""
+    names = ("reset_fault", 1.823), ("move_to", 0.396), ("stream", 1.463), ("reset_fault", 0.02)
+    scenario = Scenario(
+        (Axis("copley", -104.8, "index_positive"), Axis("epos2", 51.0, "here")),
+        (Action("enable", 0.3), *(Action(name, after_s, -0.28, 1.57) for name, after_s in names)),
+        (Trouble("late SDO", 2, 0.678, 1, lasts_s=0.3),),
+        sync_period=0.2,
+        bitrate=500_000,
+        killed_s=1.5,
+        busy_us=5000.0,
+        seed=398254545,
+    )
+    stage = play(scenario)
+    said = [event.text for event in stage.events]
+    assert any("come late" in text for text in said)
+    assert not any("somebody else" in text for text in said), said
 
 
 def test_an_unheard_power_cycle_takes_the_reference() -> None:
