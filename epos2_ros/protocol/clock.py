@@ -145,7 +145,9 @@ class MasterClock:
         """
         host_us, now_us = t_us - self._zero_us, self.master_us(t_us)
         told = {
-            drive: float(self._at_us[drive]) + wrapped(clock - shown) / (1 + self._faster[drive])
+            drive: float(
+                self._at_us[drive] + wrapped(clock - shown) / (1 + self._faster[drive])
+            )
             for drive, (clock, shown) in enumerate(zip(latched, self._shown, strict=True))
             if clock is not None and shown is not None
         }
