@@ -28,6 +28,13 @@ TARGET_REACHED = 0x0400
 INTERNAL_LIMIT = 0x0800
 OPERATION_MODE_SPECIFIC = 0x1000  # bit 12: ip mode active, set-point acknowledged, homing attained
 
+# Profile position mode (CiA 402-2): of the controlword, and of the statusword.
+NEW_SETPOINT = 0x0010
+CHANGE_IMMEDIATELY = 0x0020
+CHANGE_ON_SETPOINT = 0x0200
+SETPOINT_ACKNOWLEDGED = OPERATION_MODE_SPECIFIC
+TRAPEZOIDAL, JERK_LIMITED = 0, 3  # motion profile type (0x6086)
+
 
 class State(Enum):
     """States of the power drive system, by the names of CiA 402."""

@@ -22,12 +22,6 @@ from epos2_ros.protocol.modes.mode import Mode
 from epos2_ros.protocol.outbox import Outbox
 from epos2_ros.protocol.sdo import SdoRead, SdoWrite
 
-# Controlword and statusword bits of profile position mode (CiA 402-2).
-NEW_SETPOINT = 0x0010
-CHANGE_IMMEDIATELY = 0x0020
-SETPOINT_ACKNOWLEDGED = 0x1000
-
-TRAPEZOIDAL, JERK_LIMITED = 0, 3  # motion profile type
 ARRIVAL_MARGIN_MS = 1_000.0  # after a move should be over
 
 
@@ -36,7 +30,7 @@ class Profile(Mode):
 
     operation = 1
     words = "profile position mode"
-    start = NEW_SETPOINT | CHANGE_IMMEDIATELY
+    start = cia402.NEW_SETPOINT | cia402.CHANGE_IMMEDIATELY
     resumes = True
     prepare_timeout_us = 2_000_000.0
     confirm_timeout_us = 2_000_000.0
@@ -139,9 +133,9 @@ def setpoint(drive: Drive, move: Trapezoid) -> list[SdoWrite]:
     """
     velocity = round(move.velocity / drive.velocity_unit)
     acceleration = round(move.acceleration / drive.acceleration_unit)
-    profile, jerks = TRAPEZOIDAL, []
+    profile, jerks = cia402.TRAPEZOIDAL, []
     if move.jerk < math.inf:
-        profile, jerk = JERK_LIMITED, round(move.jerk / drive.jerk_unit)
+        profile, jerk = cia402.JERK_LIMITED, round(move.jerk / drive.jerk_unit)
         jerks = [SdoWrite.integer(*place, jerk, 4) for place in drive.family.jerk_objects]
     return [
         SdoWrite.integer(epos2.MOTION_PROFILE_TYPE, 0, profile, 2),
@@ -154,4 +148,4 @@ def setpoint(drive: Drive, move: Trapezoid) -> list[SdoWrite]:
 
 
 def _acknowledged(drive: Drive) -> bool:
-    return bool(drive.statusword & SETPOINT_ACKNOWLEDGED)
+    return bool(drive.statusword & cia402.SETPOINT_ACKNOWLEDGED)

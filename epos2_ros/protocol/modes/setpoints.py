@@ -26,11 +26,9 @@ from epos2_ros.protocol.outbox import Outbox
 from epos2_ros.protocol.path_time import PathTime
 from epos2_ros.protocol.sdo import SdoRead, SdoWrite
 from epos2_ros.protocol.setpoints.axis import STANDING_MS, QueuedAxis
-from epos2_ros.protocol.setpoints.handshake import CHANGE_IMMEDIATELY, NEW_SETPOINT
 
 ARRIVAL_MARGIN_MS = 1_000.0  # after the last set-point should be reached
 REACTION_MS = 100.0  # by so much at least a standing axis is taken over later than now
-TRAPEZOIDAL = 0  # motion profile type
 OTHER_MODE = 6  # homing, in which nothing moves without bit 4
 _STATUSWORD = SdoRead(epos2.STATUSWORD, 0, 2)
 _DISPLAY = SdoRead(epos2.MODES_OF_OPERATION_DISPLAY, 0, 1, signed=True)
@@ -42,7 +40,7 @@ class SetPoints(Follower):
 
     operation = 1
     words = "profile position mode, following"
-    start = NEW_SETPOINT | CHANGE_IMMEDIATELY
+    start = cia402.NEW_SETPOINT | cia402.CHANGE_IMMEDIATELY
     resumes = True
     confirm_timeout_us = 200_000.0
     unconfirmed_words = "first set-point not acknowledged (bit 12) after the start SYNC"
@@ -105,7 +103,7 @@ class SetPoints(Follower):
     def begin(self) -> None:
         assert self._planned is not None
         self._refused, self.path_ms = "", 0.0
-        write = SdoWrite.integer(epos2.MOTION_PROFILE_TYPE, 0, TRAPEZOIDAL, 2)
+        write = SdoWrite.integer(epos2.MOTION_PROFILE_TYPE, 0, cia402.TRAPEZOIDAL, 2)
         for axis in self.axes:
             axis.begin(self._planned)
             self._out.ask(axis.drive.node_id, (write,), then=self._written)

@@ -16,16 +16,11 @@ from numpy.typing import NDArray
 from epos2_ros.motion.reference import Reference
 from epos2_ros.motion.setpoints import SetPoint, SetPointAxis, SetPointFitter
 from epos2_ros.motion.stream import Stream
+from epos2_ros.protocol import cia402
 from epos2_ros.protocol.drive import Drive
 from epos2_ros.protocol.frame import Frame
 from epos2_ros.protocol.setpoints.audit import Audit
-from epos2_ros.protocol.setpoints.handshake import (
-    CHANGE_IMMEDIATELY,
-    CHANGE_ON_SETPOINT,
-    RESEND_US,
-    Handshake,
-    Step,
-)
+from epos2_ros.protocol.setpoints.handshake import RESEND_US, Handshake, Step
 
 STANDING_MS = 10.0  # set-points from rest begin at multiples of this
 STREAM_LONGEST = 1.5  # times what feeding takes: a stream's points are only a moment ahead
@@ -164,7 +159,7 @@ class QueuedAxis:
                 False,
             )
         self._give(first)
-        return self.handshake.offer(first, CHANGE_IMMEDIATELY, now_us, math.inf)
+        return self.handshake.offer(first, cia402.CHANGE_IMMEDIATELY, now_us, math.inf)
 
     @property
     def prepared(self) -> bool:
@@ -200,7 +195,7 @@ class QueuedAxis:
             self._choose(path_ms)
         found, self._next = self._next, None
         if found is not None:
-            bits = CHANGE_ON_SETPOINT if self._taken.passes else 0
+            bits = cia402.CHANGE_ON_SETPOINT if self._taken.passes else 0
             begin_us = now_us + (found.begin_ms - path_ms) * 1000
             self._give(found)
             raise_us = -math.inf if self._queued else begin_us

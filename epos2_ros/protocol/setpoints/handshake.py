@@ -21,12 +21,6 @@ from epos2_ros.protocol import cia402, epos2
 from epos2_ros.protocol.drive import Drive
 from epos2_ros.protocol.frame import Frame
 
-# Controlword and statusword bits of profile position mode (CiA 402-2).
-NEW_SETPOINT = 0x0010
-CHANGE_IMMEDIATELY = 0x0020
-CHANGE_ON_SETPOINT = 0x0200
-SETPOINT_ACKNOWLEDGED = 0x1000
-
 RESEND_US = 15_000.0  # what is not answered by then is told again
 COPIES = 2
 
@@ -72,7 +66,7 @@ class Handshake:
 
     @property
     def acknowledged(self) -> bool:
-        return bool(self._drive.statusword & SETPOINT_ACKNOWLEDGED)
+        return bool(self._drive.statusword & cia402.SETPOINT_ACKNOWLEDGED)
 
     # ------------------------------------------------------------------ what is told
 
@@ -105,9 +99,9 @@ class Handshake:
                 return self._send_parts(now_us)
             case Step.OFFERED if not self._unseen and now_us >= self._raise_us:
                 self.raised(now_us)
-                return [self._word(NEW_SETPOINT)]
+                return [self._word(cia402.NEW_SETPOINT)]
             case Step.RAISED if late and self._raise_us < math.inf:
-                return [*self._send_parts(now_us), self._word(NEW_SETPOINT)]
+                return [*self._send_parts(now_us), self._word(cia402.NEW_SETPOINT)]
             case Step.TAKEN if late and not self._low_again:
                 self._low_again = True
                 return self.lower(now_us)
@@ -155,7 +149,7 @@ class Handshake:
         """The drive has told its statusword."""
         if self.step is Step.RAISED and self.acknowledged:
             self.step, self._low_again = Step.TAKEN, False
-            self._bits &= ~CHANGE_IMMEDIATELY
+            self._bits &= ~cia402.CHANGE_IMMEDIATELY
             return self.lower(now_us)
         if self.step is Step.TAKEN and not self.acknowledged:
             self.step = Step.FREE
